@@ -189,7 +189,7 @@ impl FlightStack {
         self.correct_heading(&mut telemetry, is_new);
         let sensor_faults = match (&mut self.plausibility, self.frames.newest()) {
             (Some(plausibility), Some(frame)) if is_new => {
-                let agrees = self.companion.estimate_agrees_with_itself();
+                let agrees = self.companion.vehicle().estimate_agrees_with_itself();
                 plausibility.note_estimate(self.guidance.home_ned_m().z, agrees);
                 plausibility.check(frame, &telemetry)
             }
@@ -227,7 +227,7 @@ impl FlightStack {
 
     /// The heading as the rates have it where the vehicle's report errs, in telemetry and the new frame alike.
     fn correct_heading(&mut self, telemetry: &mut VehicleTelemetry, is_new: bool) {
-        let lacks_rad = self.companion.heading_lacks_rad();
+        let lacks_rad = self.companion.vehicle().heading_lacks_rad();
         if lacks_rad == 0.0 {
             return;
         }
@@ -358,7 +358,7 @@ impl FlightStack {
             .map(|(motion, depth)| motion.pilot_input(now_ns, depth, self.guidance.home_ned_m()));
         second.check(
             now_ns,
-            self.companion.sector_ranges(),
+            &self.companion.vehicle().sector_ranges,
             input.as_ref(),
             telemetry.is_airborne(),
         )
@@ -377,8 +377,8 @@ impl FlightStack {
             drifts: self.plausibility.as_ref().is_some_and(PlausibilityCheck::estimate_errs),
             frame: self.frames.newest().filter(|_| seen.is_fresh),
             flies_around: duty == Duty::FlyAround,
-            mission_place_m: self.companion.mission_place_m(),
-            mission_motion: self.companion.mission_motion(),
+            mission_place_m: self.companion.vehicle().mission_place_m(),
+            mission_motion: self.companion.vehicle().mission_motion,
         };
         if !matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready) {
             let guided = guidance.state == GuidanceState::Guided;

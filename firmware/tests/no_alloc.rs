@@ -42,14 +42,6 @@ fn a_whole_flight_of_ticks_allocates_nothing() {
 }
 
 #[test]
-fn the_actor_s_ticks_allocate_nothing() {
-    let mut config = config();
-    config.pilot.kind = PilotKind::Actor;
-    config.detector.enabled = Some(false);
-    whole_flight(&config);
-}
-
-#[test]
 fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("policy.safetensors");
@@ -103,10 +95,13 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
 }
 
 #[test]
-fn explanation_verdict_and_recovery_allocate_nothing() {
+fn the_actor_s_ticks_with_explanation_verdict_and_recovery_allocate_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = monitored_config(folder.path());
-    whole_flight(&config);
+    for enabled in [false, true] {
+        config.detector.enabled = Some(enabled);
+        whole_flight(&config);
+    }
     // The same with an alarm as soon as the window is full, and the recovery pilot at the controls.
     config.detector.threshold = Some(0.4);
     whole_flight(&config);

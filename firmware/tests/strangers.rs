@@ -14,7 +14,7 @@ use vigil_io::router::RoutedLinks;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer, encode};
 use vigil_mavlink::message;
-use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS};
+use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS, StepReport};
 
 /// 20 000 datagrams a second.
 const PER_STEP: usize = 1000;
@@ -146,8 +146,8 @@ impl<E: End> Flight<E> {
         }
     }
 
-    /// One step: half of the flood, the vehicle, the other half. What guidance's state is and whether it misses the link.
-    fn step(&mut self, vehicle_is_there: bool) -> (GuidanceState, bool) {
+    /// One step: half of the flood, the vehicle, the other half.
+    fn step(&mut self, vehicle_is_there: bool) -> StepReport {
         self.step += 1;
         let now_ns: Nanos = self.step * STEP_NS;
         for i in 0..PER_STEP {
@@ -171,8 +171,7 @@ impl<E: End> Flight<E> {
             self.framer.feed(&buffer[..len], &mut self.counters, hear);
         }
         self.vehicle.advance();
-        let lost = [Reason::LinkLost, Reason::StaleTelemetry];
-        (report.state, report.reasons.iter().any(|reason| lost.contains(&reason)))
+        report
     }
 }
 
@@ -180,18 +179,21 @@ fn survives<E: End>() {
     for (what, content) in contents() {
         let mut flight = Flight::<E>::new(content);
         // Two seconds of strangers alone.
-        (0..40).for_each(|_| {
-            flight.step(false);
-        });
+        for _ in 0..40 {
+            let report = flight.step(false);
+            let is_heard = !report.reasons.contains(Reason::LinkLost) || report.telemetry != Default::default();
+            assert!(!is_heard, "{what}: taken for a vehicle");
+        }
         let mut ends = flight.strangers.iter_mut().flatten();
         let is_answered = ends.any(|end| matches!(end.take(&mut [0; 64]), Ok(1..)));
         assert!(!is_answered, "{what}: nobody is answered");
-        let waited = (0..100).find(|_| flight.step(true).0 == GuidanceState::Guided);
+        let waited = (0..100).find(|_| flight.step(true).state == GuidanceState::Guided);
         assert!(waited.is_some(), "{what}: the vehicle does not get in");
         // Ten seconds of flight.
         let before = flight.vehicle.setpoints.len();
         for step in 0..200 {
-            let (_, is_lost) = flight.step(true);
+            let reasons = flight.step(true).reasons;
+            let is_lost = reasons.contains(Reason::LinkLost) || reasons.contains(Reason::StaleTelemetry);
             assert!(!is_lost, "{what}: the link is lost in step {step}");
             assert_eq!(flight.vehicle.setpoints.len(), before + step + 1, "{what}: step {step}");
         }

@@ -55,20 +55,18 @@ impl SimConfig {
 
     /// The given models on `course`.
     pub fn with_models(course: Course, seed: u64, models: Models) -> Self {
-        let Models { lidar, vehicle, wind } = models;
-        let endpoint = EndpointConfig::companion_only();
         Self {
             course,
             seed,
             start: Start::Ground,
-            endpoint,
+            endpoint: EndpointConfig::companion_only(),
             saved: Saved::default(),
-            lidar,
+            lidar: models.lidar,
             sensor_fault: None,
             second_sensor_heads: 0,
             frame_key: None,
-            vehicle,
-            wind,
+            vehicle: models.vehicle,
+            wind: models.wind,
         }
     }
 }

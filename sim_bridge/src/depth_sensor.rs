@@ -34,12 +34,9 @@ impl DepthSensor {
     /// Captures a frame `elapsed_ns` after the start, as the fault leaves it, seals it, and authenticates it if there is a key. Sensor's
     /// id, sequence and the attitude of a sensor that is turned on its mount are set here.
     pub(crate) fn capture(&mut self, world: &World, elapsed_ns: Nanos, shot: Shot, frame: &mut DepthFrame) {
-        let attitude = match &self.failing {
-            Some(failing) => failing.attitude(elapsed_ns, shot.attitude),
-            None => shot.attitude,
-        };
+        let turned = |failing: &FailingSensor| failing.attitude(elapsed_ns, shot.attitude);
         let shot = Shot {
-            attitude,
+            attitude: self.failing.as_ref().map_or(shot.attitude, turned),
             sequence: self.next_sequence,
             sensor_id: LIDAR_SENSOR_ID,
             ..shot

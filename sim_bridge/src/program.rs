@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, UNIX_EPOCH};
 use vigil_autopilot::{ConfigError, EndpointConfig, LinkId, LinkRole};
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::key_file::frame_key;
@@ -207,11 +207,13 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
         // In lockstep nobody else is on the link, and the flight must not depend on the instance.
         let extra = args.links.link.iter().map(|_| LinkRole::Gcs);
         let started_ns = monotonic_ns();
+        // 0 on a machine whose clock is before 1970.
+        let unix_us = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_micros() as u64);
         config.endpoint = EndpointConfig {
             system_id: (args.instance + 1) as u8,
             links: LinkRole::ALL.into_iter().chain(extra).collect(),
             // The machine's time, on the clock that the endpoint's steps have.
-            unix_time_at_zero_us: unix_time_us().saturating_sub(started_ns / 1000),
+            unix_time_at_zero_us: unix_us.saturating_sub(started_ns / 1000),
             started_ns,
             ..EndpointConfig::default()
         };
@@ -224,12 +226,7 @@ pub(crate) fn lidar_key(file: Option<&Path>) -> Result<Option<FrameKey>> {
     Ok(file.map(|path| frame_key(path, LIDAR_SENSOR_ID)).transpose()?)
 }
 
-struct OtherProcess {
-    client: LockstepClient,
-    steps: u64,
-}
-
-impl FirmwarePort for OtherProcess {
+impl FirmwarePort for LockstepClient {
     type Error = LockstepError;
 
     fn step(
@@ -240,9 +237,7 @@ impl FirmwarePort for OtherProcess {
         received: &Datagrams,
         sent: &mut Datagrams,
     ) -> Result<(), Self::Error> {
-        self.client.exchange(step, now_ns, Some(frame), received, sent)?;
-        self.steps = step + 1;
-        Ok(())
+        self.exchange(step, now_ns, Some(frame), received, sent)
     }
 }
 
@@ -311,21 +306,21 @@ fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: Arc<A
         announce(&format!("interrupted after {steps} steps"));
         Ok(ExitCode::from(INTERRUPTED))
     };
-    let client = match LockstepClient::connect(domain, LOCKSTEP_TIMEOUT, move || stop.load(Ordering::Relaxed)) {
+    let mut client = match LockstepClient::connect(domain, LOCKSTEP_TIMEOUT, move || stop.load(Ordering::Relaxed)) {
         Err(LockstepError::Cancelled) => return interrupted(0),
         client => client?,
     };
-    let mut port = OtherProcess { client, steps: 0 };
+    let mut steps = 0;
     let limit_s = f64::from(config.course.time_limit_s);
-    let record = match fly_lockstep_through(&mut simulator, &mut |_, _| {}, &mut port, limit_s) {
+    let record = match fly_lockstep_through(&mut simulator, &mut |step, _| steps = step, &mut client, limit_s) {
         Err(LockstepError::Cancelled) => {
             // A firmware that does not answer even this ends by itself.
-            let _ = port.client.finish(port.steps);
-            return interrupted(port.steps);
+            let _ = client.finish(steps);
+            return interrupted(steps);
         }
         record => record?,
     };
-    port.client.finish(record.steps)?;
+    client.finish(record.steps)?;
     vigil_types::files::print_line(&serde_json::to_string(&record)?)?;
     Ok(ExitCode::from(ending_code(simulator.ending().map(|e| e.outcome))))
 }
@@ -339,13 +334,6 @@ pub fn ending_code(outcome: Option<Outcome>) -> u8 {
         Some(Outcome::TimeOut) => 12,
         None => 13,
     }
-}
-
-/// Microseconds since 1970; 0 on a machine whose clock is before that.
-fn unix_time_us() -> u64 {
-    std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .map_or(0, |since| since.as_micros() as u64)
 }
 
 /// What has arrived on the links, to the vehicle.

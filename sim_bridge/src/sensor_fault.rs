@@ -27,7 +27,7 @@ const RANDOM_ONSET_S: (f64, f64) = (0.5, 15.0);
 
 named! {
     /// What is wrong with the sensor.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, clap::ValueEnum)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum SensorFaultMode {
         /// Every pixel 0.0.

@@ -37,13 +37,10 @@ pub struct Simulator {
     zones: Option<ZoneSensor>,
     /// The vehicle's MAVLink side.
     pub endpoint: Endpoint,
-    goal_ned_m: NedVector,
     epoch_ns: Nanos,
     elapsed_ms: u64,
     /// How long the simulation stood still while the shared clock went on.
     stood_still_ns: Nanos,
-    lifted_off_ms: Option<u64>,
-    ending: Option<Ending>,
     path_length_m: f64,
     closest_goal_m: f32,
     /// Whether the estimate is away from the truth by more than a light error.
@@ -79,12 +76,9 @@ impl Simulator {
             sensor: DepthSensor::new(config.lidar, config.seed, config.sensor_fault, config.frame_key.clone())?,
             zones: (config.second_sensor_heads > 0).then(|| ZoneSensor::new(config.seed, config.second_sensor_heads)),
             endpoint,
-            goal_ned_m: course.goal_ned_m(),
             epoch_ns,
             elapsed_ms: 0,
             stood_still_ns: 0,
-            lifted_off_ms: None,
-            ending: None,
             path_length_m: 0.0,
             closest_goal_m: f32::INFINITY,
             estimate_wanders: config.vehicle.sensors.wander_m != [0.0; 2],
@@ -143,34 +137,24 @@ impl Simulator {
             self.endpoint.observe_ranges(ranges);
         }
 
-        if self.lifted_off_ms.is_none() && !self.vehicle.view().on_ground {
-            self.lifted_off_ms = Some(self.elapsed_ms);
-        }
-        if let Some(lifted_off_ms) = self.lifted_off_ms {
-            if self.ending.is_none() {
+        // The referee's first look is at the lift-off.
+        if self.referee.started_ns.is_some() || !self.vehicle.view().on_ground {
+            if self.referee.outcome().is_none() {
                 self.path_length_m += f64::from((truth.position_ned_m - before.position_ned_m).norm());
-                self.closest_goal_m = self
-                    .closest_goal_m
-                    .min((self.goal_ned_m - truth.position_ned_m).horizontal_norm());
+                self.closest_goal_m = self.closest_goal_m.min(self.goal_distance_m());
             }
             if self.estimate_wanders {
                 let estimated_ned_m = self.vehicle.view().estimate.position_ned_m;
                 self.referee.estimate_error_ned_m = estimated_ned_m - truth.position_ned_m;
             }
             self.referee.motors_run = self.vehicle.view().armed;
-            let outcome = self.referee.observe(
+            self.referee.observe(
                 &self.world,
                 elapsed_ns,
                 truth.position_ned_m,
                 truth.attitude,
                 truth.velocity_ned_m_s,
             );
-            if self.ending.is_none()
-                && let Some(outcome) = outcome
-            {
-                let flight_time_s = (self.elapsed_ms - lifted_off_ms) as f64 * 1e-3;
-                self.ending = Some(Ending { outcome, flight_time_s });
-            }
             if !crashed && self.referee.has_collided() {
                 // It would look as if it did not obey.
                 self.endpoint.break_down();
@@ -183,8 +167,6 @@ impl Simulator {
         let (start_ned_m, heading_rad) = self.start;
         self.vehicle.place(start_ned_m, heading_rad, false);
         self.referee = self.fresh_referee.clone();
-        self.lifted_off_ms = None;
-        self.ending = None;
         self.path_length_m = 0.0;
         self.closest_goal_m = f32::INFINITY;
     }
@@ -232,7 +214,8 @@ impl Simulator {
 
     /// How the flight ended, once it has.
     pub fn ending(&self) -> Option<Ending> {
-        self.ending
+        let flight_time_s = (self.referee.duration_ns()? / MILLISECOND_NS) as f64 * 1e-3;
+        self.referee.outcome().map(|outcome| Ending { outcome, flight_time_s })
     }
 
     /// The true state.
@@ -262,6 +245,6 @@ impl Simulator {
 
     /// Horizontal distance to the goal now.
     pub fn goal_distance_m(&self) -> f32 {
-        (self.goal_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()
+        (self.referee.goal_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()
     }
 }

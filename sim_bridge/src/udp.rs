@@ -6,38 +6,28 @@ use std::net::{Ipv4Addr, SocketAddr};
 use vigil_autopilot::LinkId;
 use vigil_io::links::UdpPeers;
 
-/// Highest instance whose peer port on the API link is its own, as in PX4; those above share it. Beyond it the numbers of one
-/// instance would be those of another. Ground stations listen on one port to all vehicles.
-const LAST_OWN_PEER: u32 = 9;
+/// A link's id, who is on it, its local and its peer port at instance 0, and the highest instance whose peer port is its own,
+/// as in PX4; those above share it. Beyond it the numbers of one instance would be those of another. Ground stations listen on
+/// one port to all vehicles.
+type Ports = (LinkId, &'static str, u16, u16, u32);
 
-/// Ports of a link at instance 0: local and peer.
-const PORTS: [(LinkId, u16, u16); 3] = [
-    (LinkId::ONBOARD, 14280, 14030),
-    (LinkId::API, 14580, 14540),
-    (LinkId::GCS, 18570, 14550),
+const PORTS: [Ports; 3] = [
+    (LinkId::ONBOARD, "guidance computer", 14280, 14030, 99),
+    (LinkId::API, "scripts", 14580, 14540, 9),
+    (LinkId::GCS, "ground stations", 18570, 14550, 0),
 ];
 
 /// Local and peer port of a link of an instance.
-fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
-    let own_peer = match link {
-        LinkId::ONBOARD => instance,
-        LinkId::API => instance.min(LAST_OWN_PEER),
-        _ => 0,
-    };
+fn ports((_, _, local, peer, last_own): Ports, instance: u32) -> (u16, u16) {
     // Instances end at 99: the sums fit.
-    (local + instance as u16, peer + own_peer as u16)
+    (local + instance as u16, peer + instance.min(last_own) as u16)
 }
 
 /// The ports of `instance` as a person reads them.
 pub(crate) fn ports_in_words(instance: u32) -> String {
-    let of = |(id, local, peer)| {
-        let who = match id {
-            LinkId::ONBOARD => "guidance computer",
-            LinkId::API => "scripts",
-            _ => "ground stations",
-        };
-        let (local, peer) = ports(id, local, peer, instance);
-        format!("{who} {local} (sends to {peer})")
+    let of = |link: Ports| {
+        let (local, peer) = ports(link, instance);
+        format!("{} {local} (sends to {peer})", link.1)
     };
     PORTS.map(of).join(", ")
 }
@@ -48,8 +38,8 @@ pub(crate) fn ports_in_words(instance: u32) -> String {
 /// A port is in use, or the system refuses the socket.
 pub(crate) fn onboard_api_gcs(instance: u32) -> anyhow::Result<Vec<(LinkId, UdpPeers)>> {
     let loopback = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
-    let open = |(id, local, peer)| {
-        let (port, peer_port) = ports(id, local, peer, instance);
+    let open = |of: Ports| {
+        let (port, peer_port) = ports(of, instance);
         let link = UdpPeers::open(loopback(port), Some(loopback(peer_port))).map_err(|source| match source.kind() {
             ErrorKind::AddrInUse => anyhow!(
                 "UDP port {port} is in use: another simulator with --instance {instance}? Stop it, or choose another number \
@@ -57,7 +47,7 @@ pub(crate) fn onboard_api_gcs(instance: u32) -> anyhow::Result<Vec<(LinkId, UdpP
             ),
             _ => anyhow!("cannot open UDP port {port}: {source}"),
         })?;
-        Ok((id, link))
+        Ok((of.0, link))
     };
     PORTS.into_iter().map(open).collect()
 }
@@ -75,21 +65,14 @@ mod tests {
 
     #[test]
     fn no_two_instances_share_a_local_port_and_no_peer_port_is_a_local_one() {
-        let mut locals = Vec::new();
-        let mut peers = Vec::new();
-        for instance in 0..100 {
-            for (link, local, peer) in PORTS {
-                let (local, peer) = ports(link, local, peer, instance);
-                locals.push(local);
-                peers.push(peer);
-            }
-        }
+        let all = (0..100).flat_map(|instance| PORTS.map(|link| ports(link, instance)));
+        let (mut locals, peers): (Vec<_>, Vec<_>) = all.unzip();
         let count = locals.len();
         locals.sort_unstable();
         locals.dedup();
         assert_eq!(locals.len(), count);
         assert!(peers.iter().all(|p| locals.binary_search(p).is_err()));
-        assert_eq!(ports(LinkId::API, 14580, 14540, 3), (14583, 14543));
-        assert_eq!(ports(LinkId::GCS, 18570, 14550, 3), (18573, 14550));
+        assert_eq!(ports(PORTS[1], 3), (14583, 14543));
+        assert_eq!(ports(PORTS[2], 3), (18573, 14550));
     }
 }

@@ -4,7 +4,7 @@
 mod flown;
 
 use base64::Engine;
-use flown::flown;
+use flown::fly;
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
@@ -341,11 +341,11 @@ fn in_the_vaulted_hall_the_way_leads_through_the_door_and_the_wall_is_hit() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("courses/nave.toml");
     let course = Course::load(&file).expect("valid");
     let way = course.corridor().expect("through the door");
-    let way: Vec<_> = way.iter().map(|[n, e]| [*n, *e, course.flight_height_m]).collect();
-    assert_eq!(flown(&course, &way), Outcome::Success);
+    let way: Vec<_> = way.iter().map(|[n, e]| [*n, *e, -course.flight_height_m]).collect();
+    assert_eq!(fly(&course, &way, 6.0, 1).0, Some(Outcome::Success));
     assert!(course.straight_line_is_blocked());
-    let straight = [way[0], [19.0, -2.0, course.flight_height_m]];
-    assert_eq!(flown(&course, &straight), Outcome::Collision);
+    let straight = [way[0], [19.0, -2.0, -course.flight_height_m]];
+    assert_eq!(fly(&course, &straight, 6.0, 1).0, Some(Outcome::Collision));
     // Without the wall across there is nothing in the way: whoever is inside of a closed mesh is in a hall.
     assert!(World::new(&course).clearance_m(NedVector::new(5.0, 0.0, -1.2)) > 2.5);
 }

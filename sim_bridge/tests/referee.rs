@@ -1,5 +1,9 @@
 //! When a flight ends, and how.
 
+#[path = "common/flown.rs"]
+mod flown;
+
+use flown::fly;
 use vigil_sim::world::{Course, Outcome, Referee, World};
 use vigil_types::{Attitude, NedVector};
 
@@ -27,28 +31,6 @@ fn with_wall(thickness_m: f32) -> Course {
     course(&format!(
         "[[wall]]\nfrom_m = [10.0, -5.0]\nto_m = [10.0, 5.0]\nthickness_m = {thickness_m:?}\nheight_m = 3.0"
     ))
-}
-
-/// Flies through `points` in straight lines at `speed_m_s`, a truth every `period_ms`; the outcome and where it came.
-fn fly(course: &Course, points: &[[f32; 3]], speed_m_s: f32, period_ms: u64) -> (Option<Outcome>, NedVector, Referee) {
-    let world = World::new(course);
-    let mut referee = Referee::new(course);
-    let mut now_ms = 0;
-    let mut at = NedVector::ZERO;
-    for segment in points.windows(2) {
-        let from = NedVector::new(segment[0][0], segment[0][1], segment[0][2]);
-        let way = NedVector::new(segment[1][0], segment[1][1], segment[1][2]) - from;
-        let steps = (way.norm() / (speed_m_s * period_ms as f32 * 1e-3)).ceil().max(1.0);
-        let velocity = way * (speed_m_s / way.norm().max(1e-6));
-        for k in 0..=steps as usize {
-            at = from + way * (k as f32 / steps);
-            if let Some(outcome) = referee.observe(&world, now_ms * MS, at, LEVEL, velocity) {
-                return (Some(outcome), at, referee);
-            }
-            now_ms += period_ms;
-        }
-    }
-    (None, at, referee)
 }
 
 /// The verdict on a vehicle that is shown once, at rest.

@@ -4,17 +4,20 @@ use crate::campaign::{Ending, Folder, Row, Trial};
 use crate::flight::{Extras, Flight, Site};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use vigil_io::Link;
 use vigil_io::clock::{monotonic_ns, sleep_until};
+use vigil_io::gate::SigningGate;
+use vigil_io::link_url::LinkUrl;
+use vigil_io::links::{Gated, PeerRule};
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, StreamFramer, packets};
+use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_tests::ground::{Request, heartbeat, packet};
-use vigil_types::{Nanos, STEP_NS};
+use vigil_types::{Datagrams, Nanos, STEP_NS};
 
 /// Ends of strangers that send in turn.
 const STRANGERS: usize = 12;
@@ -29,8 +32,8 @@ const LOST_NS: Nanos = 400_000_000;
 const RATE: u32 = 20_000;
 /// Strangers come this long before the vehicle.
 const BEFORE: Duration = Duration::from_secs(2);
-/// A socket is listened to so long at a time.
-const LISTEN: Duration = Duration::from_millis(100);
+/// Between two looks at what is to be passed on.
+const POLL: Duration = Duration::from_micros(200);
 /// Port of the firmware's link at instance 0; far from the default ports.
 const PORT: u16 = 24_000;
 
@@ -156,9 +159,7 @@ fn call(socket: &mut Option<TcpStream>, address: SocketAddr, bytes: &[u8]) -> bo
 /// Passes everything on between the firmware's link and the simulator's vehicle, and notes when setpoints come out of the firmware's.
 struct Tap {
     vehicle: UdpSocket,
-    link: SocketAddr,
-    transport: Transport,
-    setpoints_ns: Mutex<Vec<Nanos>>,
+    link: Gated,
 }
 
 impl Tap {
@@ -166,95 +167,39 @@ impl Tap {
         let port = u16::try_from(14030 + instance)?;
         let vehicle = UdpSocket::bind(("127.0.0.1", port)).with_context(|| format!("UDP port {port}"))?;
         vehicle.connect(("127.0.0.1", u16::try_from(14280 + instance)?))?;
-        vehicle.set_read_timeout(Some(LISTEN))?;
-        Ok(Self {
-            vehicle,
-            link,
-            transport,
-            setpoints_ns: Mutex::default(),
-        })
+        vehicle.set_nonblocking(true)?;
+        let url = match transport {
+            Transport::Udp => LinkUrl::UdpOut(link),
+            Transport::Tcp => LinkUrl::TcpOut(link),
+        };
+        let link = Gated::open(&url, PeerRule::Anyone, SigningGate::open())?;
+        Ok(Self { vehicle, link })
     }
 
-    /// Passes on until asked to end. What a socket refuses, a link may lose too.
-    fn run(&self, done: &AtomicBool) {
+    /// Passes on until asked to end; when setpoints came. What a socket refuses, a link may lose too.
+    fn run(mut self, done: &AtomicBool) -> Vec<Nanos> {
         // Where it is permitted this thread comes before the flood's, as a vehicle's own computer does.
         let _ = vigil_firmware::realtime::request(40);
-        match self.transport {
-            Transport::Udp => self.run_udp(done),
-            Transport::Tcp => self.run_tcp(done),
-        }
-    }
-
-    fn note(&self, datagram: &[u8]) {
-        let at_ns = monotonic_ns();
-        let is_setpoint = |id| id == SET_POSITION_TARGET_LOCAL_NED_DATA::ID;
-        if packets(datagram, &mut FramingCounters::default()).any(|packet| is_setpoint(packet.message_id()))
-            && let Ok(mut setpoints_ns) = self.setpoints_ns.lock()
-        {
-            setpoints_ns.push(at_ns);
-        }
-        let _ = self.vehicle.send(datagram);
-    }
-
-    /// Takes what the link says by `receive` and gives it what the vehicle says by `send`, until it is over.
-    fn pass(&self, over: impl Fn() -> bool + Sync, mut receive: impl FnMut(&mut [u8]) + Send, send: impl Fn(&[u8])) {
-        std::thread::scope(|scope| {
-            let is_over = &over;
-            scope.spawn(move || {
-                let _ = vigil_firmware::realtime::request(40);
-                let mut buffer = [0; 4096];
-                while !is_over() {
-                    receive(&mut buffer);
-                }
-            });
-            let mut buffer = [0; 2048];
-            while !over() {
-                if let Ok(len) = self.vehicle.recv(&mut buffer) {
-                    send(&buffer[..len]);
-                }
-            }
-        });
-    }
-
-    fn run_udp(&self, done: &AtomicBool) {
-        let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
-            return;
-        };
-        let _ = (socket.connect(self.link), socket.set_read_timeout(Some(LISTEN)));
-        let receive = |buffer: &mut [u8]| {
-            if let Ok(len) = socket.recv(buffer) {
-                self.note(&buffer[..len]);
-            }
-        };
-        self.pass(
-            || done.load(Ordering::Relaxed),
-            receive,
-            |bytes| drop(socket.send(bytes)),
-        );
-    }
-
-    fn run_tcp(&self, done: &AtomicBool) {
+        let (mut passed, mut buffer, mut setpoints_ns) = (Box::<Datagrams>::default(), [0; 2048], Vec::new());
         while !done.load(Ordering::Relaxed) {
-            let Ok(socket) = TcpStream::connect_timeout(&self.link, Duration::from_secs(1)) else {
-                std::thread::sleep(Duration::from_millis(100));
-                continue;
-            };
-            let _ = (socket.set_nodelay(true), socket.set_read_timeout(Some(LISTEN)));
-            let hung_up = AtomicBool::new(false);
-            let (mut framer, mut counters) = (StreamFramer::default(), FramingCounters::default());
-            let receive = |buffer: &mut [u8]| match (&socket).read(buffer) {
-                Ok(len @ 1..) => framer.feed(&buffer[..len], &mut counters, |packet| self.note(packet.raw())),
-                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
-                _ => hung_up.store(true, Ordering::Relaxed),
-            };
-            let send = |bytes: &[u8]| {
-                if (&socket).write_all(bytes).is_err() {
-                    hung_up.store(true, Ordering::Relaxed);
+            passed.clear();
+            let now_ns = monotonic_ns();
+            self.link.receive(now_ns, &mut passed);
+            for (_, datagram) in passed.iter() {
+                let is_setpoint = |id| id == SET_POSITION_TARGET_LOCAL_NED_DATA::ID;
+                if packets(datagram, &mut FramingCounters::default()).any(|packet| is_setpoint(packet.message_id())) {
+                    setpoints_ns.push(now_ns);
                 }
-            };
-            let over = || done.load(Ordering::Relaxed) || hung_up.load(Ordering::Relaxed);
-            self.pass(over, receive, send);
+                let _ = self.vehicle.send(datagram);
+            }
+            passed.clear();
+            while let Ok(len) = self.vehicle.recv(&mut buffer)
+                && passed.push(0, &buffer[..len])
+            {}
+            self.link.send(&passed);
+            std::thread::sleep(POLL);
         }
+        setpoints_ns
     }
 }
 
@@ -311,18 +256,18 @@ fn fly(site: &Site<'_>, seed: u64, transport: Transport, content: Option<Content
     });
     let mut flight = Flight::start(instance, seed, work.path(), extras)?;
     let tap = Tap::open(instance, link, transport)?;
-    let (flown, said, rate) = std::thread::scope(|scope| {
-        let (tap, over) = (&tap, &done);
+    let (flown, said, rate, setpoints_ns) = std::thread::scope(|scope| {
+        let over = &done;
         let flooding = flood.as_ref().map(|flood| {
             scope.spawn(move || {
                 let begun = Instant::now();
                 flood.send(|| over.load(Ordering::Relaxed)) as f64 / begun.elapsed().as_secs_f64()
             })
         });
-        scope.spawn(move || {
+        let tapped = scope.spawn(move || {
             // The strangers come first.
             std::thread::sleep(BEFORE);
-            tap.run(over);
+            tap.run(over)
         });
         let flown = flight
             .take_off(site.stop)
@@ -330,9 +275,8 @@ fn fly(site: &Site<'_>, seed: u64, transport: Transport, content: Option<Content
         let said = flight.end_firmware();
         done.store(true, Ordering::Relaxed);
         let rate = flooding.map_or(0.0, |flooding| flooding.join().expect("a flood does not fail"));
-        (flown, said, rate)
+        (flown, said, rate, tapped.join().expect("a tap does not fail"))
     });
-    let setpoints_ns = tap.setpoints_ns.into_inner().unwrap_or_default();
     let mut gaps_ns: Vec<Nanos> = setpoints_ns.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps_ns.sort_unstable();
     let late = gaps_ns.iter().filter(|gap| **gap > LATE_NS).count();

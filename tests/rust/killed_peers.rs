@@ -3,7 +3,6 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
-use std::path::Path;
 use std::time::Duration;
 use vigil_sim::vehicle::VehicleModel;
 use vigil_sim::world::Family;
@@ -13,17 +12,8 @@ use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
 
-fn simulator(instance: &str) -> Running {
-    Running::start(&format!(
-        "sim --status --airborne --instance {instance} --seed 11 --family training"
-    ))
-}
-
-fn firmware(instance: &str, log: Option<&Path>) -> Running {
-    let log = log.map_or_else(String::new, |folder| format!("--log {}", text(folder)));
-    Running::start(&format!(
-        "firmware --instance {instance} --engage auto --goal 18,4 --height 1.5 {log}"
-    ))
+fn simulator() -> Running {
+    Running::start("sim --status --airborne --instance 85 --seed 11 --family training")
 }
 
 fn wait_for_guided_flight(simulator: &Running) {
@@ -35,8 +25,10 @@ fn wait_for_guided_flight(simulator: &Running) {
 #[test]
 fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight() {
     let folder = tempfile::tempdir().expect("a folder");
-    let first = simulator("85");
-    let mut firmware = firmware("85", Some(folder.path()));
+    let first = simulator();
+    let log = text(folder.path());
+    let flight = "firmware --instance 85 --engage auto --goal 18,4 --height 1.5";
+    let mut firmware = Running::start(&format!("{flight} --log {log}"));
     wait_for_guided_flight(&first);
     drop(first);
 
@@ -60,7 +52,7 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     );
     drop(socket);
 
-    let second = simulator("85");
+    let second = simulator();
     wait_for_guided_flight(&second);
     firmware.signal(Signal::TERM);
     assert_eq!(firmware.wait(), Some(0));
@@ -135,10 +127,17 @@ fn the_test_card_of_an_external_mode_passes_on_every_model_and_a_silent_firmware
         card.until("engaged", Some(Request::Engage), Card::flies);
         // A ground station's Hold: guidance leaves, and leaves it at that.
         card.pair.to_vehicle(&packet(STATION, 0, &set_auto_mode(3.0)));
-        card.until("left", None, |report, mode| report.setpoint.is_none() && mode == "hold");
+        card.until("lost", None, |report, _| report.reasons.contains(Reason::ModeLost));
+        card.until("left", None, |report, mode| {
+            report.setpoint.is_none() && report.reasons.contains(Reason::PilotInCommand) && mode == "hold"
+        });
         for _ in 0..200 {
             card.pair.simulate();
-            assert_eq!(card.pair.decide(true).setpoint, None);
+            let report = card.pair.decide(true);
+            assert_eq!(
+                (report.setpoint, report.reasons.contains(Reason::PilotInCommand)),
+                (None, true)
+            );
             assert_eq!(card.pair.simulator.status().mode.name(), "hold");
         }
         card.until("engaged again", Some(Request::Engage), Card::flies);

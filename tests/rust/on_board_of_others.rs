@@ -7,7 +7,7 @@ use vigil_mavlink::common::{MavAutopilot, MavType};
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_mavlink::message;
 use vigil_sim::world::Family;
-use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
+use vigil_tests::ground::{Request, STATION, packet};
 use vigil_tests::{Pair, reasons};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, STEP_NS, StepReport};
 
@@ -211,25 +211,4 @@ fn two_companions_are_named_and_the_second_is_not_obeyed() {
     });
     flight.assert_said("another guidance computer 1/191");
     assert_eq!(flight.guided, 100, "{:?}", flight.names());
-}
-
-#[test]
-fn a_ground_station_that_takes_over_has_the_vehicle_until_an_operator_engages() {
-    let mut pair = guided();
-    // As QGroundControl's "Hold".
-    pair.to_vehicle(&packet(STATION, 0, &set_auto_mode(3.0)));
-    let left = run(&mut pair, 100, |_, _| true);
-    assert!(left.reasons.contains(Reason::ModeLost), "{:?}", left.names());
-    assert!(left.last.reasons.contains(Reason::PilotInCommand), "{:?}", left.names());
-    assert_eq!(left.last.setpoint, None, "nobody else's setpoints");
-    assert_eq!(run(&mut pair, 200, |_, _| true).guided, 0, "it is not taken back");
-
-    let engage = packet(STATION, 1, &Request::Engage.message(1));
-    let engaged = run(&mut pair, 60, |pair, step| {
-        if step == 0 {
-            assert!(pair.to_firmware.push(0, &engage), "no room");
-        }
-        true
-    });
-    assert_eq!(engaged.last.state, GuidanceState::Guided, "{:?}", engaged.texts);
 }

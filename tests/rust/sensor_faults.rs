@@ -1,8 +1,16 @@
-//! Every fault of the depth sensor holds the vehicle, by the name of what is wrong, before it touches anything.
+//! Every fault of the depth sensor holds the vehicle, by name, before it touches anything; a scanner's packets fly it.
 
-use vigil_sim::world::Family;
+#[path = "../../tools/sensors/tests/common/device.rs"]
+mod device;
+#[path = "../../tools/sensors/tests/common/rays.rs"]
+mod rays;
+
+use device::Device;
+use vigil_sensors::Mount;
+use vigil_sensors::adapters::{OusterAdapter, OusterDevice};
+use vigil_sim::world::{Family, Outcome, World, generate};
 use vigil_tests::Pair;
-use vigil_types::{GuidanceState, Reason, Reasons, StepReport};
+use vigil_types::{Attitude, FrdVector, GuidanceState, Reason, Reasons, StepReport};
 
 const SEED: u64 = 4203;
 /// Steps of a story: 12 s.
@@ -81,4 +89,30 @@ fn stamps_and_poses_that_no_valid_frame_has_need_no_judge() {
     for (fault, reason) in stories {
         holds(fault, &[reason], false);
     }
+}
+
+#[test]
+fn a_vehicle_flies_a_course_by_a_scanners_packets() {
+    let world = World::new(&generate(Family::Validation, 7));
+    let device = Device::new(64, (FrdVector::new(0.05, 0.0, -0.05), Attitude::LEVEL_NORTH));
+    let described = OusterDevice::from_metadata(&device.metadata(false)).expect("metadata");
+    let mount = Mount::new(device.mount.0, device.mount.1).expect("a mount");
+    let mut adapter = OusterAdapter::new(described, mount).expect("an adapter");
+    let mut pair = Pair::new(Family::Validation, 7);
+    let reports = pair.fly(1600, |pair, step| {
+        let truth = pair.simulator.truth();
+        // Twenty seconds before the simulation began the device was on: its stamps are never negative.
+        let ahead_ns = pair.simulator.now_ns() + 20 * 1_000_000_000;
+        let pose = (truth.position_ned_m, truth.attitude);
+        let mut taken = None;
+        for packet in device.turn(&world, pose, step as u16, ahead_ns) {
+            // Captured now; pose and numbers as the driver of a vehicle has them.
+            let image = adapter.packet(&packet, ahead_ns, &mut pair.frame.depth);
+            taken = taken.or(image.expect("sound packets"));
+        }
+        taken.expect("a frame a turn");
+        pair.frame.seal();
+        true
+    });
+    assert_eq!(pair.outcome(), Some(Outcome::Success), "{} steps", reports.len());
 }

@@ -2,7 +2,7 @@
 
 use crate::explained::{PixelExplainer, YAW};
 use crate::flight_report::LogSeen;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::replay::{firmware_of, step_again};
@@ -50,9 +50,8 @@ pub struct Derived {
 pub fn derive(log: &Path, only: Option<Derivable>) -> Result<Derived> {
     let [map, shap] = [Derivable::Shap, Derivable::Map].map(|other| only != Some(other));
     let mut reader = Reader::open(log)?;
-    let mut firmware = firmware_of(&reader)?;
-    let mut explainer = if shap { explainer(&reader)? } else { None };
-    let seen = explainer.is_some().then(|| LogSeen::read(log)).transpose()?;
+    let mut replay = ExplainedReplay::with(&reader, shap)?;
+    let seen = replay.explainer.is_some().then(|| LogSeen::read(log)).transpose()?;
     let alarms = seen
         .iter()
         .flat_map(|seen| seen.alarms().into_iter().map(|i| seen.steps[i].now_ns));
@@ -61,15 +60,14 @@ pub fn derive(log: &Path, only: Option<Derivable>) -> Result<Derived> {
     let mut to = DerivedLog::create(log)?;
     let mut derived = Derived::default();
     let mut record = Box::<TickRecord>::default();
-    let mut sent = Box::<Datagrams>::default();
     let (mut next_map_ns, mut next_shap_ns) = (0, 0);
     while reader.read_next(&mut record)? {
-        if record.dropped_before > 0 {
+        let (now_ns, step) = (record.now_ns, record.timing.step as u32);
+        replay.step(&record);
+        let Some(firmware) = &replay.firmware else {
             derived.gap_before_step = Some(record.timing.step);
             break;
-        }
-        let (now_ns, step) = (record.now_ns, record.timing.step as u32);
-        step_again(&mut firmware, &record, &mut sent);
+        };
         if map
             && now_ns >= next_map_ns
             && let Some(pilot) = firmware.mapping()
@@ -89,40 +87,30 @@ pub fn derive(log: &Path, only: Option<Derivable>) -> Result<Derived> {
             let down_m = kinematics.map_or(0.0, |kinematics| kinematics.position_ned_m.z);
             to.way(now_ns, step, pilot.path_ned_m(), down_m)?;
         }
-        if let (Some(explainer), Some((actor, frame))) = (&mut explainer, firmware.actor()) {
-            let near = alarms_ns.iter().any(|at_ns| at_ns.abs_diff(now_ns) <= AROUND_ALARM_NS);
-            let due = now_ns >= next_shap_ns && sparse < SHAP_LIMIT;
-            if record.frame().is_some() && (near || due) {
-                if due {
-                    next_shap_ns = now_ns + SHAP_NS;
-                    sparse += 1;
-                }
-                derived.explained += 1;
-                let phi = explainer.newest_frame(actor, frame, YAW)?;
-                to.shap(now_ns, step, &squares(phi))?;
+        let near = alarms_ns.iter().any(|at_ns| at_ns.abs_diff(now_ns) <= AROUND_ALARM_NS);
+        let due = now_ns >= next_shap_ns && sparse < SHAP_LIMIT;
+        if record.frame().is_some()
+            && (near || due)
+            && let Some(squares) = replay.squares()?
+        {
+            if due {
+                next_shap_ns = now_ns + SHAP_NS;
+                sparse += 1;
             }
+            derived.explained += 1;
+            to.shap(now_ns, step, &squares)?;
         }
     }
     merge_derived(log, to, map, shap)?;
     Ok(derived)
 }
 
-/// The explainer of the actor that flew; `None` where none did.
-fn explainer(reader: &Reader) -> Result<Option<PixelExplainer>> {
-    // Understood before: the stack was made of it.
-    let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(anyhow::Error::msg)?;
-    let Some(actor) = config.frozen_actor()? else {
-        return Ok(None);
-    };
-    let explainer = PixelExplainer::new(Isa::detect(), &actor).context("the pixels cannot be explained")?;
-    Ok(Some(explainer))
-}
-
 /// Replays a log beside whoever reads it and explains its frames: what the actor remembered is not in the log.
 pub struct ExplainedReplay {
     /// `None` behind a gap in the log.
     firmware: Option<Firmware>,
-    explainer: PixelExplainer,
+    /// Of the actor that flew.
+    explainer: Option<PixelExplainer>,
     sent: Box<Datagrams>,
 }
 
@@ -132,9 +120,21 @@ impl ExplainedReplay {
     /// # Errors
     /// Why it cannot be replayed, or that no actor flew.
     pub fn of(reader: &Reader) -> Result<Self> {
+        let replay = Self::with(reader, true)?;
+        ensure!(replay.explainer.is_some(), "no actor flew");
+        Ok(replay)
+    }
+
+    /// With explanations where they are wanted and an actor flew.
+    fn with(reader: &Reader, explains: bool) -> Result<Self> {
+        let firmware = Some(firmware_of(reader)?);
+        // Understood before: the stack was made of it.
+        let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(anyhow::Error::msg)?;
+        let actor = if explains { config.frozen_actor()? } else { None };
+        let explainer = actor.map(|actor| PixelExplainer::new(Isa::detect(), &actor));
         Ok(Self {
-            firmware: Some(firmware_of(reader)?),
-            explainer: explainer(reader)?.context("no actor flew")?,
+            firmware,
+            explainer: explainer.transpose().context("the pixels cannot be explained")?,
             sent: Box::default(),
         })
     }
@@ -155,10 +155,11 @@ impl ExplainedReplay {
     /// # Errors
     /// An explanation that is not finite.
     pub fn squares(&mut self) -> Result<Option<Vec<f32>>> {
-        let Some((actor, frame)) = self.firmware.as_ref().and_then(Firmware::actor) else {
+        let decided = self.firmware.as_ref().and_then(Firmware::actor);
+        let (Some(explainer), Some((actor, frame))) = (&mut self.explainer, decided) else {
             return Ok(None);
         };
-        Ok(Some(squares(self.explainer.newest_frame(actor, frame, YAW)?)))
+        Ok(Some(squares(explainer.newest_frame(actor, frame, YAW)?)))
     }
 }
 

@@ -40,26 +40,34 @@ pub struct Finding {
     pub text: String,
 }
 
-/// The first grade that holds, with its advice; without one all is good.
-fn grade<const N: usize>(grades: [(bool, Severity, &'static str); N]) -> (Severity, &'static str) {
-    let first = grades.into_iter().find(|(holds, ..)| *holds);
-    first.map_or((Good, ""), |(_, severity, advice)| (severity, advice))
+/// Findings, as they are added.
+struct Report(Vec<Finding>);
+
+impl Report {
+    fn add(&mut self, name: &'static str, severity: Severity, text: String) {
+        self.0.push(Finding { name, severity, text });
+    }
+
+    /// With the first grade that holds, and its advice behind the text; without one all is good.
+    fn grade<const N: usize>(&mut self, name: &'static str, text: String, grades: [(bool, Severity, &str); N]) {
+        let first = grades.into_iter().find(|(holds, ..)| *holds);
+        let (severity, advice) = first.map_or((Good, ""), |(_, severity, advice)| (severity, advice));
+        self.add(name, severity, text + advice);
+    }
 }
 
-/// What is known about the sensor from outside.
-#[derive(Debug, Clone, Default)]
-pub struct Expected {
-    pub sensor_id: u32,
-    /// Keys that its frames must be made with.
-    pub keys: FrameKeys,
-    /// Range of a wall straight ahead, metres.
-    pub wall_m: Option<f32>,
+/// The upper one of an even count.
+pub(crate) fn median(mut values: Vec<f32>) -> Option<f32> {
+    values.sort_by(f32::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// Looks at one frame after the other.
 #[derive(Default)]
 pub struct SensorCheck {
-    expected: Expected,
+    sensor_id: u32,
+    keys: FrameKeys,
+    wall_m: Option<f32>,
     arrivals_s: Vec<f64>,
     ages_s: Vec<f64>,
     refused: Vec<(FrameDefect, u64)>,
@@ -80,9 +88,12 @@ pub struct SensorCheck {
 }
 
 impl SensorCheck {
-    pub fn new(expected: Expected) -> Self {
+    /// Of a sensor whose frames must be made with these keys, perhaps with a wall straight ahead at a known range.
+    pub fn new(sensor_id: u32, keys: FrameKeys, wall_m: Option<f32>) -> Self {
         Self {
-            expected,
+            sensor_id,
+            keys,
+            wall_m,
             ..Self::default()
         }
     }
@@ -91,13 +102,8 @@ impl SensorCheck {
     pub fn observe(&mut self, frame: &DepthFrame, arrived_ns: Nanos) {
         let header = &frame.header;
         self.arrivals_s.push(arrived_ns as f64 * 1e-9);
-        let tagged = self
-            .expected
-            .keys
-            .accept(frame)
-            .then_some(())
-            .ok_or(FrameDefect::BadTag);
-        let checked = frame.check(self.expected.sensor_id).and(tagged);
+        let tagged = self.keys.accept(frame).then_some(()).ok_or(FrameDefect::BadTag);
+        let checked = frame.check(self.sensor_id).and(tagged);
         if let Err(defect) = checked {
             match self.refused.iter_mut().find(|(known, _)| *known == defect) {
                 Some((_, count)) => *count += 1,
@@ -135,55 +141,43 @@ impl SensorCheck {
         }
         self.returns
             .push(f64::from(returned) / f64::from((DEPTH_ROWS * DEPTH_COLS) as u32));
-        self.lacking.0 = if lacks_ranges(frame) {
-            self.lacking.0.saturating_add(1)
-        } else {
-            0
-        };
+        self.lacking.0 = self.lacking.0.saturating_add(1) * u8::from(lacks_ranges(frame));
         self.lacking.1 = self.lacking.1.max(self.lacking.0);
         self.smooth_shares.extend(smooth_share_of(frame).map(f64::from));
-        if self.expected.wall_m.is_some() {
+        if self.wall_m.is_some() {
             let (row, col) = (DEPTH_ROWS / 2, DEPTH_COLS / 2);
-            let mut middle: Vec<f32> = (row - MIDDLE..row + MIDDLE)
-                .flat_map(|r| (col - MIDDLE..col + MIDDLE).filter_map(move |c| frame.range_m(r, c)))
-                .collect();
-            middle.sort_by(f32::total_cmp);
-            self.middle_m.extend(middle.get(middle.len() / 2));
+            let middle = (row - MIDDLE..row + MIDDLE)
+                .flat_map(|r| (col - MIDDLE..col + MIDDLE).filter_map(move |c| frame.range_m(r, c)));
+            self.middle_m.extend(median(middle.collect()));
         }
     }
 
     /// What was found in the `seconds` until `ended_ns`.
     pub fn findings(&self, seconds: f64, ended_ns: Nanos) -> Vec<Finding> {
-        let mut findings = Vec::new();
-        let mut add = |name, severity, text: String| findings.push(Finding { name, severity, text });
+        let mut report = Report(Vec::new());
         if self.arrivals_s.is_empty() {
-            add(
-                "frames",
-                Failure,
-                format!(
-                    "none within {seconds:.0} s: is the publisher running, for the same user, on the same instance and service?"
-                ),
+            let text = format!(
+                "none within {seconds:.0} s: is the publisher running, for the same user, on the same instance and service?"
             );
-            return findings;
+            report.add("frames", Failure, text);
+            return report.0;
         }
         let used = self.ages_s.len();
         let mut text = format!("{used} of {} are taken", self.arrivals_s.len());
         for (defect, count) in &self.refused {
             let _ = write!(text, "; {count} refused: {defect}");
         }
-        let severity = Severity::good_if(self.refused.is_empty(), Failure);
-        add("frames", severity, text);
-        self.rate(ended_ns as f64 * 1e-9, &mut add);
-        if used == 0 {
-            return findings;
+        report.grade("frames", text, [(!self.refused.is_empty(), Failure, "")]);
+        self.rate(ended_ns as f64 * 1e-9, &mut report);
+        if used > 0 {
+            self.clock(&mut report);
+            self.order(&mut report);
+            self.picture(&mut report);
         }
-        self.clock(&mut add);
-        self.order(&mut add);
-        self.picture(&mut add);
-        findings
+        report.0
     }
 
-    fn rate(&self, ended_s: f64, add: &mut impl FnMut(&'static str, Severity, String)) {
+    fn rate(&self, ended_s: f64, report: &mut Report) {
         let silent_s = self.arrivals_s.last().map_or(0.0, |last| ended_s - last);
         let intervals: Vec<f64> = self.arrivals_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let longest = quantile(&intervals, 1.0).unwrap_or_default();
@@ -191,8 +185,7 @@ impl SensorCheck {
             let text = format!(
                 "they came, and stopped {silent_s:.1} s ago: did the publisher end, does it still see its sensor?"
             );
-            add("rate", Failure, text);
-            return;
+            return report.add("rate", Failure, text);
         }
         let Some(mean) = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / intervals.len() as f64) else {
             return;
@@ -200,14 +193,12 @@ impl SensorCheck {
         let longest = longest.max(silent_s);
         let held = ": longer than the age limit of 0.25 s, so the vehicle holds";
         let slow = ": slower than the 20 Hz loop, so some steps have no new picture";
-        let is_slow = mean > LONGEST_INTERVAL_S;
-        let (severity, advice) = grade([(longest > AGE_LIMIT_S, Failure, held), (is_slow, Warning, slow)]);
-        let (hz, longest_ms) = (1.0 / mean, longest * 1e3);
-        let text = format!("{hz:.1} Hz, longest interval {longest_ms:.0} ms{advice}");
-        add("rate", severity, text);
+        let text = format!("{:.1} Hz, longest interval {:.0} ms", 1.0 / mean, longest * 1e3);
+        let (is_held, is_slow) = (longest > AGE_LIMIT_S, mean > LONGEST_INTERVAL_S);
+        report.grade("rate", text, [(is_held, Failure, held), (is_slow, Warning, slow)]);
     }
 
-    fn clock(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+    fn clock(&self, report: &mut Report) {
         let at = |q| quantile(&self.ages_s, q).unwrap_or(f64::NAN);
         let (least, middle, most) = (at(0.0), at(0.5), at(1.0));
         if least < -(STEP_NS as f64) * 1e-9 {
@@ -215,42 +206,43 @@ impl SensorCheck {
                 "stamps lie up to {:.3} s in the future of CLOCK_MONOTONIC: stamp frames with that clock, at capture",
                 -least
             );
-            add("clock", Failure, text);
+            report.add("clock", Failure, text);
         } else if middle > 1000.0 {
             let text = format!("stamps are {middle:.0} s old: they are of another clock than CLOCK_MONOTONIC");
-            add("clock", Failure, text);
+            report.add("clock", Failure, text);
         } else {
             let held = ": older than the age limit of 0.25 s, so the vehicle holds";
             let old = ": the vehicle flies by what it saw that long ago";
-            let (severity, advice) = grade([(most > AGE_LIMIT_S, Failure, held), (middle > OLD_S, Warning, old)]);
-            let (middle_ms, most_ms) = (middle * 1e3, most * 1e3);
-            let text = format!("{middle_ms:.1} ms old on arrival, at most {most_ms:.1} ms{advice}");
-            add("latency", severity, text);
+            let text = format!("{:.1} ms old on arrival, at most {:.1} ms", middle * 1e3, most * 1e3);
+            let (is_held, is_old) = (most > AGE_LIMIT_S, middle > OLD_S);
+            report.grade("latency", text, [(is_held, Failure, held), (is_old, Warning, old)]);
         }
     }
 
-    fn order(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+    fn order(&self, report: &mut Report) {
         let stamps = "with a stamp that is not newer than the one before: refused in flight";
         let numbers = "times the number did not rise: a restarted publisher, or frames sent twice";
-        let is_wrong = [self.not_newer > 0, self.restarted > 0];
-        let (severity, _) = grade([(is_wrong[0], Failure, stamps), (is_wrong[1], Warning, numbers)]);
         let wrong = [(self.not_newer, stamps), (self.restarted, numbers)].into_iter();
         let wrong = wrong.filter(|(count, _)| *count > 0);
         let words: Vec<String> = wrong.map(|(count, what)| format!("{count} {what}")).collect();
-        let text = match severity {
-            Good => format!("stamps and numbers rise; {} numbers were left out", self.left_out),
-            _ => words.join("; "),
+        let text = match words.is_empty() {
+            true => format!("stamps and numbers rise; {} numbers were left out", self.left_out),
+            false => words.join("; "),
         };
-        add("order", severity, text);
+        let (is_old, is_restarted) = (self.not_newer > 0, self.restarted > 0);
+        report.grade("order", text, [(is_old, Failure, ""), (is_restarted, Warning, "")]);
     }
 
-    fn picture(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+    fn picture(&self, report: &mut Report) {
         let share = self.returns.iter().sum::<f64>() / self.returns.len() as f64;
         let none = ": a blind sensor";
         let few = ": hardly anything returns; is the range divided by 100 m?";
-        let (severity, advice) = grade([(share == 0.0, Failure, none), (share < 0.05, Warning, few)]);
-        let text = format!("{:.1} % of the pixels{advice}", 100.0 * share);
-        add("returns", severity, text);
+        let text = format!("{:.1} % of the pixels", 100.0 * share);
+        report.grade(
+            "returns",
+            text,
+            [(share == 0.0, Failure, none), (share < 0.05, Warning, few)],
+        );
         let lacks = self.lacking.1 > 1;
         // Many zeros are rough, too, and no noise.
         if let Some(least) = quantile(&self.smooth_shares, 0.02).filter(|_| self.zeros == 0 || !lacks) {
@@ -258,34 +250,38 @@ impl SensorCheck {
             let rough = ": the guard would take this sensor's pictures for altered ones: see to its noise, or fly without the guard";
             let (is_rough, is_nearly) = (least < ROUGH_SHARE, least < NEARLY_ROUGH_SHARE);
             let nearly = ": hardly more than the guard asks for";
-            let (severity, advice) = grade([(is_rough, Warning, rough), (is_nearly, Warning, nearly)]);
             let text = format!(
-                "{:.0} % of the parts in which something is seen show one surface (2 % of the pictures below {:.0} %){advice}",
+                "{:.0} % of the parts in which something is seen show one surface (2 % of the pictures below {:.0} %)",
                 100.0 * middle,
                 100.0 * least
             );
-            add("surfaces", severity, text);
+            report.grade(
+                "surfaces",
+                text,
+                [(is_rough, Warning, rough), (is_nearly, Warning, nearly)],
+            );
         }
         if self.zeros > 0 || lacks {
             let held = ": the firmware holds for pictures with so many, or with ranges of anywhere (blind sensor)";
-            let (severity, advice) = grade([(lacks, Failure, held), (true, Warning, "")]);
-            let zeros = self.zeros;
-            let text = format!("{zeros} pixels are 0.0, a surface at the lens (no return is 1.0){advice}");
-            add("zeros", severity, text);
+            let text = format!(
+                "{} pixels are 0.0, a surface at the lens (no return is 1.0)",
+                self.zeros
+            );
+            report.grade("zeros", text, [(lacks, Failure, held), (true, Warning, "")]);
         }
         if self.unchanged > 0 {
             let (unchanged, all) = (self.unchanged, self.returns.len());
             let text = format!(
                 "{unchanged} of {all} pictures are the one before to the bit: a real sensor's noise changes them"
             );
-            add("change", Warning, text);
+            report.add("change", Warning, text);
         }
-        self.view(add);
-        self.wall(add);
+        self.view(report);
+        self.wall(report);
     }
 
     /// The part of the field of view from which anything returned.
-    fn view(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+    fn view(&self, report: &mut Report) {
         let bearings = |col: usize| (col as f32 / PART_COLS as f32 - 0.5) * HORIZONTAL_FOV_RAD.to_degrees();
         let elevations = |row: usize| (0.5 - row as f32 / PART_ROWS as f32) * VERTICAL_FOV_RAD.to_degrees();
         let columns: Vec<usize> = (0..PART_COLS).filter(|c| self.seen.iter().any(|row| row[*c])).collect();
@@ -314,24 +310,24 @@ impl SensorCheck {
             );
         }
         let severity = if blind == PART_COLS { Failure } else { Warning };
-        add("view", Severity::good_if(blind == 0, severity), text);
+        report.grade("view", text, [(blind > 0, severity, "")]);
     }
 
     /// The wall that is expected in the middle.
-    fn wall(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
-        if let Some(wall_m) = self.expected.wall_m {
-            let mut middle = self.middle_m.clone();
-            middle.sort_by(f32::total_cmp);
-            let found_m = middle.get(middle.len() / 2).copied().unwrap_or(DEPTH_FULL_SCALE_M);
-            if found_m >= DEPTH_FULL_SCALE_M {
-                let text = format!("no return in the middle of the image, {wall_m:.2} m expected");
-                return add("wall", Failure, text);
-            }
-            let is_off = (found_m - wall_m).abs() > WALL_TOLERANCE_M;
-            let (severity, advice) = grade([(is_off, Failure, ": ranges are along the ray, divided by 100 m")]);
-            let text = format!("{found_m:.2} m in the middle of the image, {wall_m:.2} m expected{advice}");
-            add("wall", severity, text);
-        }
+    fn wall(&self, report: &mut Report) {
+        let Some(wall_m) = self.wall_m else { return };
+        let found_m = median(self.middle_m.clone()).filter(|found_m| *found_m < DEPTH_FULL_SCALE_M);
+        let Some(found_m) = found_m else {
+            let text = format!("no return in the middle of the image, {wall_m:.2} m expected");
+            return report.add("wall", Failure, text);
+        };
+        let is_off = (found_m - wall_m).abs() > WALL_TOLERANCE_M;
+        let text = format!("{found_m:.2} m in the middle of the image, {wall_m:.2} m expected");
+        report.grade(
+            "wall",
+            text,
+            [(is_off, Failure, ": ranges are along the ray, divided by 100 m")],
+        );
     }
 }
 
@@ -353,12 +349,8 @@ mod tests {
         frame
     }
 
-    fn expected() -> Expected {
-        Expected {
-            sensor_id: 1,
-            wall_m: Some(3.0),
-            ..Expected::default()
-        }
+    fn check() -> SensorCheck {
+        SensorCheck::new(1, FrameKeys::default(), Some(3.0))
     }
 
     type Alter = fn(u64, &mut DepthFrame, &mut Nanos);
@@ -366,7 +358,7 @@ mod tests {
     /// What is not good of a hundred frames that `alter` had a hand in before they were sealed, or after: name and text. A frame arrives
     /// 4 ms after its capture.
     fn found(is_sealed: bool, alter: Alter) -> Vec<(&'static str, String)> {
-        let mut check = SensorCheck::new(expected());
+        let mut check = check();
         for number in 0..100 {
             let mut frame = frame(number);
             let mut arrived_ns = frame.header.stamp_ns + 4_000_000;
@@ -389,28 +381,24 @@ mod tests {
         assert_eq!(found(true, |_, _, _| {}), []);
     }
 
-    #[test]
-    fn silence_is_a_failure_that_says_where_to_look() {
-        let findings = SensorCheck::new(expected()).findings(5.0, 6 * SECOND);
-        assert_eq!(findings.len(), 1);
-        assert!(findings[0].severity == Failure && findings[0].text.contains("instance"));
-    }
-
     /// Until it ended it was as good as ever. A slow publisher has not stopped.
     #[test]
-    fn frames_that_came_and_stopped_are_a_failure_also_a_single_one() {
+    fn silence_is_a_failure_that_says_where_to_look_also_after_frames_or_a_single_one() {
         for (frames, apart_ns, words) in [
+            (0, STEP_NS, "on the same instance and service?"),
             (1, STEP_NS, "stopped 5.0 s ago"),
             (61, STEP_NS, "stopped 2.0 s ago"),
             (10, SECOND / 2, "2.0 Hz, longest interval 500 ms: longer"),
         ] {
-            let mut check = SensorCheck::new(expected());
+            let mut check = check();
             for number in 0..frames {
                 check.observe(&frame(number), SECOND + number * apart_ns);
             }
             let findings = check.findings(5.0, 6 * SECOND);
-            let is_it = |f: &Finding| f.name == "rate" && f.severity == Failure && f.text.contains(words);
+            let name = if frames == 0 { "frames" } else { "rate" };
+            let is_it = |f: &Finding| f.name == name && f.severity == Failure && f.text.contains(words);
             assert!(findings.iter().any(is_it), "{findings:?}");
+            assert!(frames > 0 || findings.len() == 1, "{findings:?}");
         }
     }
 

@@ -131,11 +131,8 @@ impl SigningGate {
     /// # Errors
     /// [`SigningFileError`]: a file that is not a key or that others can read, or a state that cannot be kept.
     pub fn with_kept_key(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
-        let key = match read_key(key_file) {
-            Ok(key) => Some(key),
-            Err(_) if matches!(key_file.try_exists(), Ok(false)) => None,
-            Err(other) => return Err(other.into()),
-        };
+        let is_there = !matches!(key_file.try_exists(), Ok(false));
+        let key = is_there.then(|| read_key(key_file)).transpose()?;
         Self::with_state(key, key_file, name, allow_unsigned)
     }
 

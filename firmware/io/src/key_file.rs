@@ -110,25 +110,19 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_32_bytes_or_64_digits() {
+    fn a_key_is_32_bytes_or_64_digits_and_not_all_zeros() {
         let folder = tempfile::tempdir().unwrap();
         let key = std::array::from_fn::<u8, 32, _>(|i| i as u8 * 8);
         let hex: String = key.iter().map(|b| format!("{b:02X}")).collect();
         for content in [key.to_vec(), hex.clone().into_bytes(), format!(" {hex}\n").into_bytes()] {
             assert_eq!(read(&key_file(folder.path(), &content, 0o600)).unwrap(), key);
         }
-        for content in [&key[..31], &hex.as_bytes()[..63], &[b'g'; 64], b""] {
-            let error = read(&key_file(folder.path(), content, 0o400)).unwrap_err();
-            assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
-        }
-    }
-
-    #[test]
-    fn zeros_are_no_key() {
-        let folder = tempfile::tempdir().unwrap();
-        for content in [&[0; 32][..], &[b'0'; 64]] {
+        let no_key =
+            [&key[..31], &hex.as_bytes()[..63], &[b'g'; 64], b""].map(|content| (content, "64 hexadecimal digits"));
+        let zeros = [&[0; 32][..], &[b'0'; 64]].map(|content| (content, "all zeros"));
+        for (content, why) in no_key.into_iter().chain(zeros) {
             let error = read(&key_file(folder.path(), content, 0o600)).unwrap_err();
-            assert!(error.to_string().contains("all zeros"), "{error}");
+            assert!(error.to_string().contains(why), "{error}");
         }
     }
 

@@ -17,17 +17,15 @@ use crate::links::{
 };
 use crate::value_rate::ValueRate;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavSeverity};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
+use vigil_mavlink::framing::{AUTOPILOT, FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::routing::{ComponentId, LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::{SIGNATURE_LEN, SigningKey, Timestamp, carries_key};
-use vigil_mavlink::{MavHeader, MavMessage, message};
+use vigil_mavlink::{MavMessage, Sender, message};
 use vigil_types::{Datagrams, Nanos};
 
 /// The vehicle's link.
 const VEHICLE: u8 = 0;
-/// The autopilot's component.
-const AUTOPILOT: u8 = 1;
 /// Packets that a ground link may give to the flight stack in one step; a flood's others are dropped.
 const PACKETS_PER_STEP: usize = 8;
 /// What the vehicle's link leaves for the ground links of the flight stack's datagrams in one step.
@@ -282,16 +280,11 @@ impl RoutedLinks {
     fn say_text(&mut self, text: &str) {
         let severity = MavSeverity::MAV_SEVERITY_NOTICE;
         let message = message!(STATUSTEXT, severity, text = text.into());
-        let own = self.switch.own;
-        let header = MavHeader {
-            system_id: own.system.into(),
-            component_id: own.component,
-            sequence: 0,
-        };
-        let mut packet = [0; MAX_PACKET_LEN];
-        // Every packet fits MAX_PACKET_LEN.
-        let len = serialize(header, &message, &mut packet).unwrap_or(0);
-        self.switch.say(VEHICLE, packet.get(..len).unwrap_or_default());
+        let (own, mut said) = (self.switch.own, Datagrams::default());
+        Sender::new(own.system, own.component).message(&mut said, VEHICLE, &message);
+        for (link, packet) in said.iter() {
+            self.switch.say(link, packet);
+        }
     }
 }
 

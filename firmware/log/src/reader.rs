@@ -352,13 +352,6 @@ impl Reader {
     }
 }
 
-impl std::fmt::Debug for Reader {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let mut reader = f.debug_struct("Reader");
-        reader.field("path", &self.path).finish_non_exhaustive()
-    }
-}
-
 impl Iterator for Reader {
     type Item = Result<Box<TickRecord>, ReadError>;
 

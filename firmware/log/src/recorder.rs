@@ -39,7 +39,7 @@ pub struct RecorderConfig {
     pub place: LogPlace,
     /// What to do when no slot is free.
     pub when_full: WhenFull,
-    /// Slots of about 200 kB each, all made at start; 100 of them bridge 5 s of a stalled disk at 20 Hz.
+    /// Slots of about 200 kB each, at least one, all made at start; 100 of them bridge 5 s of a stalled disk at 20 Hz.
     pub slots: usize,
     /// Added to the loop's time to give nanoseconds since the UNIX epoch ([`epoch_offset_ns`]); 0 shows simulated time
     /// as it is.
@@ -102,9 +102,6 @@ pub enum StartError {
         describe(.1)
     )]
     Write(PathBuf, McapError),
-    /// No slots were asked for.
-    #[error("a recorder needs at least one slot")]
-    NoSlots,
     /// The recorder thread could not be started.
     #[error("the recorder thread could not be started: {0}")]
     Thread(io::Error),
@@ -154,9 +151,6 @@ impl Recorder {
     /// # Errors
     /// [`StartError`] when nothing can be recorded there; the message says what to do.
     pub fn start(config: RecorderConfig) -> Result<Self, StartError> {
-        if config.slots == 0 {
-            return Err(StartError::NoSlots);
-        }
         let (file, path) = create_log(&config.place)?;
         let lock = file.try_clone().ok().filter(|file| file.try_lock().is_ok());
         let tlog_path = path.with_extension("tlog");
@@ -182,7 +176,7 @@ impl Recorder {
         W: Write + Seek + Send + 'static,
         T: Write + Send + 'static,
     {
-        let (slots, when_full, epoch_offset_ns) = (config.slots, config.when_full, config.epoch_offset_ns);
+        let (slots, when_full, epoch_offset_ns) = (config.slots.max(1), config.when_full, config.epoch_offset_ns);
         let file = LogFile::create(BufWriter::new(log_sink), config);
         let file = file.map_err(|what| StartError::Write(path.clone(), what))?;
         let (mut free_in, free) = RingBuffer::new(slots);

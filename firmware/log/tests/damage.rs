@@ -554,7 +554,7 @@ fn with_metadata(path: &Path, name: &str, entries: &str) {
 fn a_wrong_file_is_named_for_what_it_is() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("file.mcap");
-    let error = |path: &Path| Reader::open(path).unwrap_err();
+    let error = |path: &Path| Reader::open(path).err().unwrap();
 
     assert!(matches!(error(&path), ReadError::Io(_)));
     std::fs::write(&path, "").unwrap();

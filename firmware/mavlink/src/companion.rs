@@ -6,18 +6,15 @@ use crate::framing::{FramingCounters, Packet, packets};
 use crate::operator::{PendingRequest, ReplyTo};
 use crate::parameter_table::Parameters;
 use crate::report;
-use crate::service::Step;
-use crate::services::Services;
-use crate::status_text::{StatusText, WARNING};
+use crate::services::{Services, Step};
+use crate::status_text::{NOTICE, StatusText, WARNING};
+use crate::vehicle::Vehicle;
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavState, MavType, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
-    Datagrams, GuardNotice, GuidanceState, HandoverProgress, MissionMotion, Nanos, NedVector, ObstacleReports,
-    RequestOutcome, SectorRanges, StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
+    Datagrams, GuardNotice, GuidanceState, HandoverProgress, Nanos, NedVector, ObstacleReports, RequestOutcome,
+    StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
 };
-
-/// The autopilot's component.
-const AUTOPILOT: u8 = 1;
 
 /// Identity and vehicle of the guidance computer.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -116,24 +113,14 @@ impl Companion {
         &self.core.vehicle.telemetry
     }
 
-    /// Whether the vehicle's velocity is the rate at which its position changes.
-    pub fn estimate_agrees_with_itself(&self) -> bool {
-        self.core.vehicle.estimate_agrees_with_itself()
+    /// The vehicle itself.
+    pub fn vehicle(&self) -> &Vehicle {
+        &self.core.vehicle
     }
 
     /// What its velocity, as it is known here, is more than the pictures say, NED, metres per second.
     pub fn note_seen_error(&mut self, error_m_s: NedVector) {
         self.core.vehicle.seen_error_m_s = error_m_s;
-    }
-
-    /// What to add to the vehicle's reported heading, radians, so that it is where the nose points.
-    pub fn heading_lacks_rad(&self) -> f32 {
-        self.core.vehicle.heading_lacks_rad()
-    }
-
-    /// The last usable report of each component with a sensor beside the depth camera.
-    pub fn sector_ranges(&self) -> &[Option<SectorRanges>] {
-        &self.core.vehicle.sector_ranges
     }
 
     /// How far the vehicle is with the hand-over.
@@ -151,21 +138,6 @@ impl Companion {
             home_ned_m: vehicle.home_ned_m(),
             telemetry_interval_ns: self.core.telemetry_interval_ns,
         }
-    }
-
-    /// Metres north and east, in the local frame, of the place to which the vehicle's mission goes; `None` when it has not reported it.
-    pub fn mission_place_m(&self) -> Option<(f32, f32)> {
-        self.core.vehicle.mission_place_m()
-    }
-
-    /// How the vehicle changes its speed in a mission, as far as it is known.
-    pub fn mission_motion(&self) -> MissionMotion {
-        self.core.vehicle.mission_motion
-    }
-
-    /// The vehicle's autopilot: as configured or recognised, PX4 before that.
-    pub fn flavour(&self) -> Flavour {
-        self.core.vehicle.flavour()
     }
 
     /// The texts of the last step for people.
@@ -199,16 +171,17 @@ impl Companion {
         let Self { core, services } = self;
         // What the vehicle says counts on its own link only: nobody on another can speak in its place.
         if link == core.config.link {
-            core.learn_vehicle(packet);
-            let is_vehicles = core.system_id == Some(packet.system_id());
+            // The first autopilot whose heartbeat comes is the vehicle, unless its system is configured.
+            let is_autopilots = packet.is_of_autopilot(&mut core.system_id);
+            core.sender.system_id = core.system_id.unwrap_or(core.sender.system_id);
             // A second sensor may be a component of its own.
-            let is_sensors =
-                packet.message_id() == OBSTACLE_DISTANCE_DATA::ID && packet.component_id() != core.config.component_id;
-            let is_autopilots = packet.component_id() == AUTOPILOT;
-            if is_vehicles && (is_autopilots || is_sensors) && !core.vehicle.receive(now_ns, packet) {
+            let is_sensors = packet.message_id() == OBSTACLE_DISTANCE_DATA::ID
+                && core.system_id == Some(packet.system_id())
+                && packet.component_id() != core.config.component_id;
+            if (is_autopilots || is_sensors) && !core.vehicle.receive(now_ns, packet) {
                 core.counters.unreadable += 1;
             }
-            if is_vehicles && is_autopilots {
+            if is_autopilots {
                 services.hear_vehicle(core, now_ns, packet);
             }
         } else {
@@ -286,6 +259,8 @@ impl Companion {
             out,
             &report::heartbeat(MavType::MAV_TYPE_ONBOARD_CONTROLLER, MavState::MAV_STATE_POWEROFF),
         );
-        core.farewell(out);
+        // Nothing of the step before stands beside it.
+        core.texts.clear();
+        core.tell(out, NOTICE, format_args!("guidance: shut down"));
     }
 }

@@ -2,10 +2,10 @@
 //! It imports no service.
 
 use crate::companion::{CompanionConfig, LinkCounters};
-use crate::framing::{Command, CommandAck, Packet};
+use crate::framing::{Command, CommandAck};
 use crate::operator::{ReplyTo, result};
 use crate::sender::Sender;
-use crate::status_text::{NOTICE, StatusText};
+use crate::status_text::StatusText;
 use crate::vehicle::Vehicle;
 use ::core::fmt::Arguments;
 use heapless::Vec;
@@ -42,6 +42,24 @@ impl Periodic {
             now_ns + period_ns
         };
         true
+    }
+}
+
+/// How often something was done in the present period, and when that ends.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Allowance {
+    until_ns: Nanos,
+    count: u32,
+}
+
+impl Allowance {
+    /// Whether it may be done now: at most `most` times in a period, which begins with the first of them.
+    pub fn takes(&mut self, now_ns: Nanos, period_ns: Nanos, most: u32) -> bool {
+        if now_ns >= self.until_ns {
+            (self.until_ns, self.count) = (now_ns.saturating_add(period_ns), 0);
+        }
+        self.count = self.count.saturating_add(1);
+        self.count <= most
     }
 }
 
@@ -111,14 +129,6 @@ impl Core {
         let bit = 1_u64.checked_shl(link.into()).unwrap_or(0);
         self.newcomer |= self.links_heard & bit != bit;
         self.links_heard |= bit;
-    }
-
-    /// The first autopilot whose heartbeat comes is the vehicle, unless its system is configured.
-    pub fn learn_vehicle(&mut self, packet: &Packet<'_>) {
-        if self.system_id.is_none() && packet.is_autopilots_heartbeat() {
-            self.system_id = Some(packet.system_id());
-            self.sender.system_id = packet.system_id();
-        }
     }
 
     /// Owes the acknowledgement of a command.
@@ -218,11 +228,5 @@ impl Core {
         for message in text.messages(self.text_id) {
             self.say(out, &message);
         }
-    }
-
-    /// The last text: nothing of the step before stands beside it.
-    pub fn farewell(&mut self, out: &mut Datagrams) {
-        self.texts.clear();
-        self.tell(out, NOTICE, format_args!("guidance: shut down"));
     }
 }

@@ -28,7 +28,6 @@
 #[cfg(feature = "std")]
 extern crate std;
 
-mod allowance;
 mod autopilot;
 mod companion;
 mod core;
@@ -37,21 +36,18 @@ mod following;
 pub mod framing;
 pub mod globe;
 mod heading_error;
-mod inputs;
 mod operator;
 mod parameter_table;
 mod report;
 pub mod routing;
 mod sender;
-mod service;
 mod services;
 pub mod signing;
 mod status_text;
-mod tracker;
 mod vehicle;
 mod velocity_error;
 
-pub use allowance::Allowance;
+pub use self::core::Allowance;
 pub use autopilot::Flavour;
 pub use companion::{Companion, CompanionConfig, LinkCounters};
 pub use mavlink;

@@ -106,7 +106,7 @@ pub struct Vehicle {
     /// Latitude and longitude, degrees, of the place to which its mission goes, as it was reported last in that mode.
     mission_place_deg: Option<(f64, f64)>,
     /// How it changes its speed in a mission, by its parameters.
-    pub(crate) mission_motion: MissionMotion,
+    pub mission_motion: MissionMotion,
     /// The last usable OBSTACLE_DISTANCE of each component: of sensors beside the depth camera.
     pub sector_ranges: [Option<SectorRanges>; RANGE_SOURCES],
     /// How often the autopilot was seen to start anew.
@@ -182,12 +182,13 @@ impl Vehicle {
         self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
     }
 
-    pub(crate) fn estimate_agrees_with_itself(&self) -> bool {
+    /// Whether its velocity is the rate at which its position changes.
+    pub fn estimate_agrees_with_itself(&self) -> bool {
         self.velocity_error.lacks_m_s() == NedVector::ZERO
     }
 
-    /// What to add to the reported heading, radians, so that it is where the nose points ([`HeadingError`]).
-    pub(crate) fn heading_lacks_rad(&self) -> f32 {
+    /// What to add to the reported heading, radians, so that it is where the nose points.
+    pub fn heading_lacks_rad(&self) -> f32 {
         self.heading_error.lacks_rad()
     }
 

@@ -5,7 +5,7 @@ mod common;
 use common::Flight;
 use common::peer::{HOME_ALTITUDE_M, Mode, Peer, longest_gap_ns};
 use vigil_guidance::{AtGoal, EngagePolicy, GuidanceConfig};
-use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
+use vigil_mavlink::Flavour::{ArduPilot, Px4};
 use vigil_mavlink::common::{MavLandedState, MavResult};
 use vigil_mavlink::message;
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
@@ -120,44 +120,44 @@ fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
     }
 }
 
-/// A flight whose hand-over of an airborne vehicle or one on the ground fails; the text that says why.
-fn failed_with(flavour: Flavour, command: u16, answer: Option<MavResult>) -> (Flight, String) {
-    let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
-    f.peer.answer(command, answer, 9);
-    f.engage();
-    f.until(Engaging);
-    f.until(Standby);
-    let text = said(&f, "hand-over:").into_iter().next().unwrap_or_default();
-    (f, text)
-}
-
 #[test]
-fn a_refused_command_fails_the_hand_over_with_its_result() {
-    let (f, text) = failed_with(Px4, 400, Some(MavResult::MAV_RESULT_DENIED));
-    assert_eq!(text, "hand-over: arming refused: DENIED");
-    assert_eq!(f.peer.got(400).len(), 1, "a refusal is not argued with");
-    assert!(!f.peer.armed);
-    let (_, text) = failed_with(ArduPilot, 22, Some(MavResult::MAV_RESULT_FAILED));
-    assert_eq!(text, "hand-over: take-off refused: FAILED");
-    let (f, text) = failed_with(ArduPilot, 176, Some(MavResult::MAV_RESULT_TEMPORARILY_REJECTED));
-    assert_eq!(text, "hand-over: change of mode refused: TEMPORARILY_REJECTED");
-    assert_eq!(f.peer.got(176).len(), 4, "for now is asked again");
-}
-
-#[test]
-fn silence_is_asked_four_times_half_a_second_apart() {
-    let (f, text) = failed_with(Px4, 400, None);
-    assert_eq!(text, "hand-over: arming not answered");
-    let arms = f.peer.got(400);
-    assert_eq!(arms.iter().map(|c| c.confirmation).collect::<Vec<_>>(), [0, 1, 2, 3]);
-    assert!(arms.windows(2).all(|w| w[1].at_ns - w[0].at_ns == SECOND / 2));
-}
-
-#[test]
-fn a_command_accepted_without_effect_is_not_believed() {
-    let (f, text) = failed_with(Px4, 400, Some(MavResult::MAV_RESULT_ACCEPTED));
-    assert_eq!(text, "hand-over: arming accepted, but without effect");
-    assert_eq!(f.peer.got(400).len(), 4);
+fn a_command_that_is_refused_not_answered_or_without_effect_fails_the_hand_over_with_its_result() {
+    use MavResult::*;
+    for (flavour, command, answer, why, attempts) in [
+        (Px4, 400, Some(MAV_RESULT_DENIED), "arming refused: DENIED", 1),
+        (ArduPilot, 22, Some(MAV_RESULT_FAILED), "take-off refused: FAILED", 1),
+        // For now is asked again, and so is silence.
+        (
+            ArduPilot,
+            176,
+            Some(MAV_RESULT_TEMPORARILY_REJECTED),
+            "change of mode refused: TEMPORARILY_REJECTED",
+            4,
+        ),
+        (Px4, 400, None, "arming not answered", 4),
+        (
+            Px4,
+            400,
+            Some(MAV_RESULT_ACCEPTED),
+            "arming accepted, but without effect",
+            4,
+        ),
+    ] {
+        let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
+        f.peer.answer(command, answer, 9);
+        f.engage();
+        f.until(Engaging);
+        f.until(Standby);
+        let texts = said(&f, "hand-over:");
+        assert_eq!(texts.first(), Some(&format!("hand-over: {why}")));
+        let got = f.peer.got(command);
+        assert_eq!(got.len(), attempts, "{why}");
+        assert!(command != 400 || !f.peer.armed);
+        if answer.is_none() {
+            assert!((0..).zip(&got).all(|(number, c)| c.confirmation == number));
+            assert!(got.windows(2).all(|w| w[1].at_ns - w[0].at_ns == SECOND / 2));
+        }
+    }
 }
 
 #[test]

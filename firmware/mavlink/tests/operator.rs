@@ -82,23 +82,32 @@ fn a_ground_station_commands_a_whole_flight() {
 }
 
 #[test]
-fn commands_become_requests() {
+fn commands_become_requests_and_what_is_none_is_answered_by_what_is_wrong_with_it() {
     let mut b = Bench::new(Flavour::Px4);
-    assert_eq!(asked(&mut b, &enable(ME, 1.0)), Ok(OperatorRequest::Engage));
-    assert_eq!(asked(&mut b, &enable(ME, 0.0)), Ok(OperatorRequest::Disengage));
-    assert_eq!(asked(&mut b, &enable(ME, f32::NAN)), Err(DENIED));
-    let land = command_long(MavCmd::MAV_CMD_NAV_LAND, ME, 0.0);
-    assert_eq!(asked(&mut b, &land), Ok(OperatorRequest::Land));
+    let (north_m, east_m) = (20.0, -5.5);
     let goal = |height_m| {
         Ok(OperatorRequest::Goal {
-            north_m: 20.0,
-            east_m: -5.5,
+            north_m,
+            east_m,
             height_m,
         })
     };
     let local = |z| reposition(MavFrame::MAV_FRAME_LOCAL_NED, 200_000, -55_000, z);
-    assert_eq!(asked(&mut b, &local(-3.0)), goal(Some(3.0)));
-    assert_eq!(asked(&mut b, &local(f32::NAN)), goal(None));
+    let of = |command| command_long(command, ME, 0.0);
+    for (message, expected) in [
+        (enable(ME, 1.0), Ok(OperatorRequest::Engage)),
+        (enable(ME, 0.0), Ok(OperatorRequest::Disengage)),
+        (enable(ME, f32::NAN), Err(DENIED)),
+        (of(MavCmd::MAV_CMD_NAV_LAND), Ok(OperatorRequest::Land)),
+        (local(-3.0), goal(Some(3.0))),
+        (local(f32::NAN), goal(None)),
+        (of(MavCmd::MAV_CMD_DO_REPOSITION), Err(INT_ONLY)),
+        (reposition(MavFrame::MAV_FRAME_BODY_FRD, 1, 1, 0.0), Err(NO_FRAME)),
+        (reposition(MavFrame::MAV_FRAME_LOCAL_NED, i32::MAX, 1, 0.0), Err(DENIED)),
+    ] {
+        assert_eq!(asked(&mut b, &message), expected, "{message:?}");
+    }
+    assert_eq!(b.companion.counters().commands_refused, 4);
 }
 
 #[test]
@@ -138,18 +147,6 @@ fn a_goal_on_the_globe_becomes_local_once_the_origin_is_known() {
         );
         assert!((height_m - height).abs() < 1e-3, "{height_m}");
     }
-}
-
-#[test]
-fn what_is_no_goal_is_answered_by_what_is_wrong_with_it() {
-    let mut b = Bench::new(Flavour::Px4);
-    let long = command_long(MavCmd::MAV_CMD_DO_REPOSITION, ME, 0.0);
-    assert_eq!(asked(&mut b, &long), Err(INT_ONLY));
-    let body = reposition(MavFrame::MAV_FRAME_BODY_FRD, 1, 1, 0.0);
-    assert_eq!(asked(&mut b, &body), Err(NO_FRAME));
-    let none = reposition(MavFrame::MAV_FRAME_LOCAL_NED, i32::MAX, 1, 0.0);
-    assert_eq!(asked(&mut b, &none), Err(DENIED));
-    assert_eq!(b.companion.counters().commands_refused, 3);
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod common;
 use common::{Bench, GROUND_STATION, ME, VEHICLE, bytes_of, messages, texts};
 use vigil_mavlink::common::{MavFrame, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA, PARAM_VALUE_DATA};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters, message};
-use vigil_types::{Datagrams, GuidanceState, Reasons, STEP_NS, VehicleRequest};
+use vigil_types::{Datagrams, GuidanceState, Reasons, VehicleRequest};
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
 const INTEGER: MavParamType = MavParamType::MAV_PARAM_TYPE_INT32;
@@ -270,7 +270,7 @@ fn heard(component_id: u8, data: OBSTACLE_DISTANCE_DATA) -> Option<Vec<(f32, f32
     let mut companion = in_the_air();
     let message = MavMessage::OBSTACLE_DISTANCE(data);
     companion.receive(7_000, 0, &bytes_of((1, component_id), &message));
-    let ranges = companion.sector_ranges().iter().flatten().next()?;
+    let ranges = companion.vehicle().sector_ranges.iter().flatten().next()?;
     assert_eq!((ranges.component, ranges.at_ns), (component_id, 7_000));
     Some(ranges.known().collect())
 }
@@ -321,17 +321,4 @@ fn what_cannot_be_is_not_reported() {
     );
     assert_eq!(data.distances[bin(&data, 0.2f32.to_degrees())], 10);
     assert_eq!(data.distances[bin(&data, 0.01)], 3001, "no distance");
-}
-
-#[test]
-fn obstacles_are_reported_four_times_a_second() {
-    let mut companion = in_the_air();
-    let mut count = 0;
-    for step in 1..=200 {
-        let mut sent = Datagrams::default();
-        companion.emit_obstacles(step * STEP_NS, Some([(0.0, 1.0)].into_iter()), &mut sent);
-        count += sent.len();
-    }
-    // Ten seconds, both ends included.
-    assert_eq!(count, 41);
 }

@@ -186,7 +186,7 @@ fn the_autopilot_is_recognised_from_its_heartbeat() {
     for flavour in [Px4, ArduPilot] {
         let mut f = Flight::of(None, Peer::on_the_ground(flavour), GuidanceConfig::default());
         f.engage_and_fly();
-        assert_eq!(f.companion.flavour(), flavour);
+        assert_eq!(f.companion.vehicle().flavour(), flavour);
         let own = match flavour {
             Px4 => [400, 22, 176],
             ArduPilot => [176, 400, 22],
@@ -208,7 +208,7 @@ fn what_flies_is_not_taken_for_another_autopilot_in_flight() {
     f.engage_and_fly();
     let other = heartbeat(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA);
     f.hear(VEHICLE, &other);
-    assert_eq!(f.companion.flavour(), Px4);
+    assert_eq!(f.companion.vehicle().flavour(), Px4);
     assert_eq!(f.companion.telemetry().heartbeat.unwrap().mode, VehicleMode::Unknown);
 }
 

@@ -15,14 +15,8 @@ const NEAR_GOAL_M: f32 = 5.0;
 /// Keeps 1/d² finite; the force is at its limit long before.
 const MIN_DISTANCE_M: f32 = 1e-3;
 
-/// The nearest point of an obstacle, as the repulsive field takes it: the paper's `d_ob` and `θ_ob`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct NearestObstacle {
-    /// Horizontal distance in metres.
-    pub distance_m: f32,
-    /// Bearing relative to the heading, positive to the right, in (−π, π].
-    pub bearing_rad: f32,
-}
+/// The nearest point of an obstacle, as the repulsive field takes it: the paper's `d_ob` and `θ_ob`, given as a goal's.
+pub type NearestObstacle = GoalRelative;
 
 /// The attractive field of a goal at bearing θ and distance d:
 ///
@@ -88,15 +82,9 @@ pub fn add(a: Action, b: Action) -> Action {
 mod tests {
     use super::*;
 
-    fn goal(distance_m: f32, bearing_deg: f32) -> GoalRelative {
+    /// A goal, or an obstacle.
+    fn at(distance_m: f32, bearing_deg: f32) -> GoalRelative {
         GoalRelative::new(distance_m, bearing_deg.to_radians())
-    }
-
-    fn obstacle(distance_m: f32, bearing_deg: f32) -> NearestObstacle {
-        NearestObstacle {
-            distance_m,
-            bearing_rad: bearing_deg.to_radians(),
-        }
     }
 
     #[track_caller]
@@ -124,7 +112,7 @@ mod tests {
             (4.999_9, 0.0, 0.800_03, 0.0),
             (5.0, 0.0, 0.4, 0.0),
         ] {
-            let f = attraction(goal(distance_m, bearing_deg));
+            let f = attraction(at(distance_m, bearing_deg));
             close(f.forward_m_s, forward_m_s);
             close(f.yaw, yaw);
         }
@@ -133,9 +121,9 @@ mod tests {
     #[test]
     fn at_the_goal_itself_the_pull_is_its_limit_and_finite() {
         for d in [0.0, 1e-30, 1e-3, 0.1] {
-            close(attraction(goal(d, 0.0)).forward_m_s, 1.5);
-            close(attraction(goal(d, 180.0)).forward_m_s, -1.5);
-            assert!(attraction(goal(d, 90.0)).is_finite());
+            close(attraction(at(d, 0.0)).forward_m_s, 1.5);
+            close(attraction(at(d, 180.0)).forward_m_s, -1.5);
+            assert!(attraction(at(d, 90.0)).is_finite());
         }
     }
 
@@ -152,43 +140,40 @@ mod tests {
             (1.0, 1e-4, -1.5),
             (1.0, -1e-4, 1.5),
         ] {
-            let f = repulsion(obstacle(distance_m, bearing_deg), 3.0);
+            let f = repulsion(at(distance_m, bearing_deg), 3.0);
             close(f.yaw, yaw);
             assert_eq!(f.forward_m_s, 0.0);
         }
-        assert!(repulsion(obstacle(1.0, 89.99), 3.0).yaw.abs() < 1e-3);
-        assert!(repulsion(obstacle(1.0, -89.99), 3.0).yaw.abs() < 1e-3);
+        assert!(repulsion(at(1.0, 89.99), 3.0).yaw.abs() < 1e-3);
+        assert!(repulsion(at(1.0, -89.99), 3.0).yaw.abs() < 1e-3);
         for (distance_m, bearing_deg) in [(1.0, 90.0), (1.0, -120.0), (3.0, 20.0), (1.0, 0.0)] {
-            let o = obstacle(distance_m, bearing_deg);
+            let o = at(distance_m, bearing_deg);
             assert_eq!(repulsion(o, 3.0), Action::HOVER, "{o:?}");
         }
-        close(repulsion(obstacle(4.0, 10.0), 5.0).yaw, -1.5);
+        close(repulsion(at(4.0, 10.0), 5.0).yaw, -1.5);
     }
 
     #[test]
     fn the_sum_is_clipped_not_its_parts_alone() {
-        let f = force(goal(10.0, 120.0), Some(obstacle(1.0, 60.0)), REPULSIVE_RANGE_M);
+        let f = force(at(10.0, 120.0), Some(at(1.0, 60.0)), REPULSIVE_RANGE_M);
         close(f.yaw, 0.590_80 - 1.267_95);
         close(f.forward_m_s, -0.1);
-        close(
-            force(goal(2.0, 180.0), Some(obstacle(1.0, -5.0)), REPULSIVE_RANGE_M).yaw,
-            1.5,
-        );
+        close(force(at(2.0, 180.0), Some(at(1.0, -5.0)), REPULSIVE_RANGE_M).yaw, 1.5);
         assert_eq!(
-            force(goal(10.0, 20.0), None, REPULSIVE_RANGE_M),
-            attraction(goal(10.0, 20.0))
+            force(at(10.0, 20.0), None, REPULSIVE_RANGE_M),
+            attraction(at(10.0, 20.0))
         );
     }
 
     #[test]
     fn nothing_that_is_not_finite_becomes_a_force() {
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            assert_eq!(attraction(goal(bad, 10.0)), Action::HOVER);
-            assert_eq!(attraction(goal(2.0, bad)), Action::HOVER);
-            assert_eq!(repulsion(obstacle(bad, 10.0), 3.0), Action::HOVER);
-            assert_eq!(repulsion(obstacle(1.0, bad), 3.0), Action::HOVER);
+            assert_eq!(attraction(at(bad, 10.0)), Action::HOVER);
+            assert_eq!(attraction(at(2.0, bad)), Action::HOVER);
+            assert_eq!(repulsion(at(bad, 10.0), 3.0), Action::HOVER);
+            assert_eq!(repulsion(at(1.0, bad), 3.0), Action::HOVER);
         }
-        assert_eq!(attraction(goal(-1.0, 10.0)), Action::HOVER);
-        assert_eq!(repulsion(obstacle(-1.0, 10.0), 3.0), Action::HOVER);
+        assert_eq!(attraction(at(-1.0, 10.0)), Action::HOVER);
+        assert_eq!(repulsion(at(-1.0, 10.0), 3.0), Action::HOVER);
     }
 }

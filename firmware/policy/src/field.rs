@@ -4,7 +4,8 @@
 //! Where actor, attraction and repulsion cancel out, the field has a local minimum, and a vehicle without memory would hover there
 //! for good: the field's known weakness (Koren, Borenstein 1991).
 
-use crate::{NearestObstacle, PilotInput, RangeScan, Scan, apf};
+use crate::geometric::position_ned_m;
+use crate::{NearestObstacle, PilotInput, Scan, apf};
 use core::f32::consts::FRAC_PI_4;
 use vigil_types::{ACTION_LIMIT, Action, Nanos, NedVector};
 
@@ -31,8 +32,6 @@ const PAUSE_NS: Nanos = 500_000_000;
 pub struct FlightField {
     /// Where the vehicle last got to, and when.
     progress: Option<(NedVector, Nanos)>,
-    /// Until when it turns.
-    turn_until_ns: Option<Nanos>,
     /// The side of the last turn, 1 is right, and when it began.
     last_turn: Option<(f32, Nanos)>,
     last_ns: Nanos,
@@ -42,7 +41,7 @@ impl FlightField {
     /// The actor's own action and the field's, clipped, both in units of `unit_m_s` ahead. `scan` is what the input's frame shows.
     pub fn add_to(&mut self, own: Action, unit_m_s: f32, input: &PilotInput<'_>, scan: &Scan) -> Action {
         let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
-        let here = input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input);
+        let here = position_ned_m(input);
         let turn = Action::new(0.0, ESCAPE_YAW * self.side(here, input.now_ns, obstacle));
         let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
             // The goal does not pull through what stands before it: how to pass that is the actor's.
@@ -58,11 +57,10 @@ impl FlightField {
             *self = Self::default();
         }
         self.last_ns = now_ns;
-        if let (Some(until_ns), Some((side, _))) = (self.turn_until_ns, self.last_turn) {
-            if now_ns < until_ns {
-                return side;
-            }
-            (self.progress, self.turn_until_ns) = (None, None);
+        if let Some((side, begun_ns)) = self.last_turn
+            && now_ns < begun_ns + TURN_NS
+        {
+            return side;
         }
         match self.progress {
             Some((at, since_ns)) if (here - at).horizontal_norm() < MOVED_M => {
@@ -75,8 +73,7 @@ impl FlightField {
                         (None, Some(obstacle)) if obstacle.bearing_rad > 0.0 => -1.0,
                         (None, _) => 1.0,
                     };
-                    self.turn_until_ns = Some(now_ns + TURN_NS);
-                    self.last_turn = Some((side, now_ns));
+                    (self.progress, self.last_turn) = (None, Some((side, now_ns)));
                     return side;
                 }
             }
@@ -92,10 +89,7 @@ mod tests {
     use std::vec::Vec;
 
     const STEP_NS: Nanos = 50_000_000;
-    const AHEAD_LEFT: NearestObstacle = NearestObstacle {
-        distance_m: 1.0,
-        bearing_rad: -0.1,
-    };
+    const AHEAD_LEFT: NearestObstacle = NearestObstacle::new(1.0, -0.1);
 
     /// Sides of `steps` steps from `from_s` on, at a north position that goes by `speed_m_s`.
     fn sides(field: &mut FlightField, from_s: u64, steps: u64, speed_m_s: f32) -> Vec<f32> {
@@ -120,10 +114,7 @@ mod tests {
         let mut field = FlightField::default();
         let mut turned = sides(&mut field, 1, 160, 0.0);
         // What is nearest lies on the other side now.
-        let right = NearestObstacle {
-            bearing_rad: 0.1,
-            ..AHEAD_LEFT
-        };
+        let right = NearestObstacle::new(1.0, 0.1);
         let here = NedVector::new(0.0, 0.0, -1.5);
         turned.extend((160..240).map(|i| field.side(here, 1_000_000_000 + i * STEP_NS, Some(right))));
         assert_eq!(turned.iter().filter(|s| **s == 1.0).count(), 60);

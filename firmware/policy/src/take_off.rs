@@ -43,17 +43,20 @@ mod tests {
     use super::*;
     use vigil_types::{Landed, NedVector};
 
+    /// Whether it goes on so high above the ground, at this velocity.
+    fn goes_on(take_off: &mut TakeOff, landed: Landed, height_m: f32, north_m_s: f32, down_m_s: f32) -> bool {
+        let telemetry = VehicleTelemetry {
+            landed,
+            ..VehicleTelemetry::default()
+        };
+        let position_ned_m = NedVector::new(0.0, 0.0, 0.4 - height_m);
+        let kinematics = Kinematics::new(0, position_ned_m, NedVector::new(north_m_s, 0.0, down_m_s));
+        take_off.goes_on(&telemetry, &kinematics)
+    }
+
     #[test]
     fn a_climb_that_a_gust_blows_aside_is_a_take_off_and_a_climb_to_a_place_is_none() {
-        let climbs = |down_m_s, north_m_s| {
-            let velocity = NedVector::new(north_m_s, 0.0, down_m_s);
-            let kinematics = Kinematics::new(0, NedVector::ZERO, velocity);
-            let telemetry = VehicleTelemetry {
-                landed: Landed::InAir,
-                ..VehicleTelemetry::default()
-            };
-            TakeOff::default().goes_on(&telemetry, &kinematics)
-        };
+        let climbs = |down_m_s, north_m_s| goes_on(&mut TakeOff::default(), Landed::InAir, 0.4, north_m_s, down_m_s);
         assert!(climbs(-0.8, 0.6) && climbs(-0.4, 0.4));
         assert!(!climbs(-0.5, 0.6) && !climbs(-3.0, 1.1) && !climbs(-0.2, 0.1));
     }
@@ -61,15 +64,7 @@ mod tests {
     #[test]
     fn a_vehicle_that_its_autopilot_calls_airborne_before_it_climbs_is_still_taking_off() {
         let mut take_off = TakeOff::default();
-        let mut takes_off = |landed, height_m: f32, north_m_s: f32| {
-            let telemetry = VehicleTelemetry {
-                landed,
-                ..VehicleTelemetry::default()
-            };
-            let position_ned_m = NedVector::new(0.0, 0.0, 0.4 - height_m);
-            let kinematics = Kinematics::new(0, position_ned_m, NedVector::new(north_m_s, 0.0, 0.0));
-            take_off.goes_on(&telemetry, &kinematics)
-        };
+        let mut takes_off = |landed, height_m, north_m_s| goes_on(&mut take_off, landed, height_m, north_m_s, 0.0);
         assert!(takes_off(Landed::OnGround, 0.0, 0.0));
         assert!(takes_off(Landed::InAir, 0.1, 0.7), "its estimate moves");
         assert!(!takes_off(Landed::InAir, 1.1, 0.0), "it has left the ground");

@@ -1,6 +1,10 @@
 //! The exported actor: what ONNX Runtime makes of it (`actor.onnx.json`, written by the exporter) against our own kernels.
 
-use vigil_nnet::{Graph, Isa, Purpose};
+#[path = "../../nnet/tests/common/mod.rs"]
+mod plain;
+
+use plain::Evaluated;
+use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
 use vigil_policy::actor::{ActorSpec, CONTEXT, LOW_DIM};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
@@ -30,18 +34,6 @@ fn pattern_values(seed: usize, count: usize) -> Vec<f32> {
     (0..count).map(value).collect()
 }
 
-fn act(isa: Isa, graph: &Graph, params: &[f32], seed: usize) -> Vec<f32> {
-    let given = [
-        pattern_frame(seed),
-        pattern_values(seed, CONTEXT),
-        pattern_values(seed, LOW_DIM),
-    ];
-    let given = given.each_ref().map(Vec::as_slice);
-    let mut tape = vec![0.0; graph.tape_len()];
-    graph.forward(isa, params, &given, &mut tape).unwrap();
-    graph.output(&tape).unwrap().to_vec()
-}
-
 #[test]
 fn onnx_runtime_decides_as_our_actor_does() {
     let record: Record = serde_json::from_str(RECORD).unwrap();
@@ -51,15 +43,19 @@ fn onnx_runtime_decides_as_our_actor_does() {
     let graph = ActorSpec::FULL.graph(Purpose::Gradients).unwrap();
     assert!(record.actions.len() >= 5);
     for isa in Isa::available() {
-        let name = isa.name();
+        let (name, evaluated) = (isa.name(), Evaluated::new(graph.clone(), isa, &actor.params));
+        let act = |seed| {
+            let [context, low_dim] = [CONTEXT, LOW_DIM].map(|count| pattern_values(seed, count));
+            evaluated.output(&evaluated.tape(&[pattern_frame(seed), context, low_dim]))
+        };
         for (seed, theirs) in record.actions.iter().enumerate() {
-            let ours = act(isa, &graph, &actor.params, seed);
+            let ours = act(seed);
             for (a, b) in ours.iter().zip(theirs) {
                 let off = (a - b).abs();
                 assert!(off < 1e-5, "{name}, pattern {seed}: {ours:?} against {theirs:?}");
             }
         }
-        let [first, second] = [0, 1].map(|seed| act(isa, &graph, &actor.params, seed));
+        let [first, second] = [0, 1].map(act);
         assert_ne!(first, second, "patterns do matter");
     }
 }

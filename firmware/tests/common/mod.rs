@@ -9,7 +9,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::time::Duration;
-use vigil_detector::{FrozenDetector, LstmAd, Of};
+use vigil_detector::FrozenDetector;
 use vigil_firmware::stack::TickInput;
 use vigil_firmware::step::Firmware;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
@@ -22,8 +22,6 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_mavlink::message;
-use vigil_policy::actor::LowDim;
-use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, FrameKey, GuidanceState, Nanos, NedVector,
     PilotKind, STEP_NS, STEP_S, StepReport, StepTiming, column_bearing_rad, row_elevation_rad,
@@ -167,30 +165,10 @@ pub fn config() -> FirmwareConfig {
 
 /// A detector of the actor built in whose score is always 0.5: what the verdict is, a test chooses by the threshold.
 pub fn undecided_detector() -> FrozenDetector {
-    let actor = FrozenActor::built_in().unwrap();
-    let lengths = LstmAd::tensors()
-        .into_iter()
-        .map(|(_, shape)| shape.iter().product::<usize>());
-    FrozenDetector {
-        of: Of::pilot(&FrozenPilot::Actor(actor.clone())),
-        actor_sha256: actor.sha256(),
-        backgrounds: (0..30)
-            .map(|i| {
-                (
-                    vec![0.03 * i as f32 - 0.4; 48],
-                    LowDim::from([0.9, 0.1, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-                )
-            })
-            .collect(),
-        centre: [0.0; 48],
-        scale: [1.0; 48],
-        threshold: 0.6,
-        threshold_choice: "for a test".to_owned(),
-        params: vec![0.0; lengths.sum()],
-        training_config: String::new(),
-        seed: 0,
-        git_commit: None,
-    }
+    let mut detector = FrozenDetector::built_in().unwrap();
+    detector.params.fill(0.0);
+    (detector.threshold, detector.seed) = (0.6, 0);
+    detector
 }
 
 /// The same flight, flown by the actor under [`undecided_detector`], whose verdict is clean.

@@ -5,7 +5,7 @@ mod common;
 mod sharing;
 mod signing;
 
-use common::{PseudoTerminal, Random, TestVehicle, arrived, config, say, set_parameter, socket, step_over};
+use common::{LOITER, PseudoTerminal, Random, TestVehicle, arrived, config, say, set_parameter, socket, step_over};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};

@@ -250,6 +250,8 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
     let unsupported = (set_home, MavResult::MAV_RESULT_UNSUPPORTED, OTHER_STATION.0);
     assert_eq!(acks(&second), [unsupported]);
 
+    let waits = flight.vehicle.setpoints.is_empty() && flight.vehicle.mode == LOITER;
+    assert!(waits, "nothing moves unless somebody engages");
     // One engages, the other stops the flight: the last word counts, whoever's it is.
     let guided = |param1: f32, from| {
         let (target_system, target_component) = ME;

@@ -69,9 +69,10 @@ pub struct DepthFrame {
 }
 
 /// Why a frame must not be used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FrameDefect {
     /// Rows or columns are not the ones the policy was built for.
+    #[error("frame is {rows} x {cols}, expected {DEPTH_ROWS} x {DEPTH_COLS}")]
     WrongSize {
         /// Rows in the header.
         rows: u16,
@@ -79,36 +80,24 @@ pub enum FrameDefect {
         cols: u16,
     },
     /// Another sensor's frame.
+    #[error("frame is of sensor {sensor_id}")]
     WrongSensor {
         /// Sensor in the header.
         sensor_id: u32,
     },
     /// The checksum does not match: torn or altered in transit.
+    #[error("frame checksum does not match")]
     BadChecksum,
     /// A pixel is NaN, infinite or outside 0..=1.
+    #[error("frame holds a range that is not within 0..=1")]
     BadRange,
     /// The pose at capture is not finite or its quaternion is not of unit length.
+    #[error("frame's pose at capture is not valid")]
     BadPose,
     /// The authentication tag was not made with a key that the receiver has: altered, foreign, or of before the last boot.
+    #[error("frame's authentication tag does not match")]
     BadTag,
 }
-
-impl core::fmt::Display for FrameDefect {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::WrongSize { rows, cols } => {
-                write!(f, "frame is {rows} x {cols}, expected {DEPTH_ROWS} x {DEPTH_COLS}")
-            }
-            Self::WrongSensor { sensor_id } => write!(f, "frame is of sensor {sensor_id}"),
-            Self::BadChecksum => write!(f, "frame checksum does not match"),
-            Self::BadRange => write!(f, "frame holds a range that is not within 0..=1"),
-            Self::BadPose => write!(f, "frame's pose at capture is not valid"),
-            Self::BadTag => write!(f, "frame's authentication tag does not match"),
-        }
-    }
-}
-
-impl core::error::Error for FrameDefect {}
 
 /// Bytes of the header that checksum and tag cover.
 pub(crate) const COVERED_BYTES: usize = 56;

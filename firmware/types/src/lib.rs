@@ -34,7 +34,6 @@ mod frame_key;
 mod guidance;
 mod judgement;
 pub mod parameters;
-mod ranges;
 #[cfg(feature = "files")]
 pub mod settings;
 mod step_report;
@@ -55,9 +54,11 @@ pub use frame_key::{FRAME_TAG_BYTES, FrameKey, FrameKeys};
 pub use guidance::{GuidanceState, Reason, Reasons};
 pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement, Verdict};
 pub use parameters::ParameterSpec;
-pub use ranges::{RANGE_SECTORS, RANGE_SOURCES, SectorRanges};
 pub use step_report::{Datagrams, StepReport, StepTiming};
-pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, MissionMotion, VehicleMode, VehicleTelemetry};
+pub use telemetry::{
+    AttitudeSample, Heartbeat, Kinematics, Landed, MissionMotion, RANGE_SECTORS, RANGE_SOURCES, SectorRanges,
+    VehicleMode, VehicleTelemetry,
+};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};
 pub use vehicle_requests::{
     GuardNotice, HandoverProgress, OperatorRequest, RequestOutcome, StopCause, VehicleRequest, VehicleStatus,

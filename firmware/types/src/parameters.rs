@@ -75,7 +75,8 @@ pub struct MavlinkName {
 }
 
 /// A value that a parameter does not accept.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("{key} is {value}, allowed is {range}")]
 pub struct OutOfRange {
     /// The parameter's [`ParameterSpec::key`].
     pub key: &'static str,
@@ -83,14 +84,6 @@ pub struct OutOfRange {
     pub value: f64,
     /// What is accepted.
     pub range: Range,
-}
-
-impl core::error::Error for OutOfRange {}
-
-impl fmt::Display for OutOfRange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} is {}, allowed is {}", self.key, self.value, self.range)
-    }
 }
 
 impl fmt::Display for Range {
@@ -286,37 +279,39 @@ pub struct Section {
 }
 
 impl Section {
-    const fn always(name: &'static str, text: &'static str) -> Self {
+    const fn new(name: &'static str, is_optional: bool, text: &'static str) -> Self {
         Self {
             name,
             text,
-            is_optional: false,
-        }
-    }
-
-    const fn optional(name: &'static str, text: &'static str) -> Self {
-        Self {
-            is_optional: true,
-            ..Self::always(name, text)
+            is_optional,
         }
     }
 }
 
 /// The sections, in the order of the reference; what belongs to none comes before them.
 pub const SECTIONS: &[Section] = &[
-    Section::optional("goal", "without a goal, an operator sets it"),
-    Section::always("signing", "who may speak on the links"),
-    Section::always("limits", "when to hold or land"),
-    Section::optional("limits.geofence", "a cylinder around home; without it there is none"),
-    Section::always("just_stop", "how a vehicle that is guarded stops (docs/just-stop.md)"),
-    Section::always("pilot", "who decides"),
-    Section::always(
+    Section::new("goal", true, "without a goal, an operator sets it"),
+    Section::new("signing", false, "who may speak on the links"),
+    Section::new("limits", false, "when to hold or land"),
+    Section::new(
+        "limits.geofence",
+        true,
+        "a cylinder around home; without it there is none",
+    ),
+    Section::new(
+        "just_stop",
+        false,
+        "how a vehicle that is guarded stops (docs/just-stop.md)",
+    ),
+    Section::new("pilot", false, "who decides"),
+    Section::new(
         "detector",
+        false,
         "what watches the actor, and what an alarm brings about; without an actor there is nothing to watch (docs/detection.md)",
     ),
-    Section::always("rate", "the loop"),
-    Section::always("log", "the flight log"),
-    Section::always("state", "what outlives a restart"),
+    Section::new("rate", false, "the loop"),
+    Section::new("log", false, "the flight log"),
+    Section::new("state", false, "what outlives a restart"),
 ];
 
 /// Highest instance number: the ports of the next one would be the simulator's own.

@@ -89,16 +89,6 @@ impl EndpointConfig {
             ..Self::default()
         }
     }
-
-    pub(crate) fn check(&self) -> Result<(), ConfigError> {
-        if self.system_id == 0 {
-            return Err(ConfigError::SystemId);
-        }
-        if self.links.is_empty() || self.links.len() > Self::MAX_LINKS {
-            return Err(ConfigError::Links(self.links.len()));
-        }
-        Ok(())
-    }
 }
 
 /// Why an endpoint cannot be set up.

@@ -72,20 +72,12 @@ pub struct EndpointStatus {
     pub terminated: bool,
     /// Whose setpoints are flown.
     pub setpoint_owner: Option<ComponentId>,
-    /// Age of the owner's last setpoint.
-    pub setpoint_age_ns: Option<Nanos>,
     /// Packets found and refused by the framing.
     pub framing: FramingCounters,
     /// Everything else refused.
     pub refusals: Refusals,
-    /// Packets passed on between links.
-    pub forwarded: u64,
     /// Packets that were not sent because nobody took them.
     pub dropped: u64,
-    /// Status texts sent since start.
-    pub texts: u64,
-    /// The last status text.
-    pub last_text: String,
 }
 
 /// What SETUP_SIGNING asks for: for the owner of the links.
@@ -168,9 +160,7 @@ pub(crate) struct Core {
     /// What each link is for.
     pub roles: Vec<LinkRole>,
     pub refusals: Refusals,
-    pub forwarded: u64,
     pub texts: u64,
-    pub last_text: String,
     pub refusals_said: Allowance,
     /// Texts since the last record of the flight log.
     pub unlogged: Vec<(MavSeverity, String)>,
@@ -180,7 +170,12 @@ pub(crate) struct Core {
 
 impl Core {
     pub fn new(config: &EndpointConfig) -> Result<Self, ConfigError> {
-        config.check()?;
+        if config.system_id == 0 {
+            return Err(ConfigError::SystemId);
+        }
+        if !(1..=EndpointConfig::MAX_LINKS).contains(&config.links.len()) {
+            return Err(ConfigError::Links(config.links.len()));
+        }
         let mut parameters = Parameters::new(&config.parameters)?;
         parameters.tell("MAV_SYS_ID", ParameterValue::Integer(config.system_id.into()));
         let mut view = VehicleView::default();
@@ -241,7 +236,6 @@ impl Core {
     /// <https://mavlink.io/en/messages/common.html#STATUSTEXT>
     pub fn text(&mut self, severity: MavSeverity, text: &str) {
         self.texts += 1;
-        text.clone_into(&mut self.last_text);
         if self.unlogged.len() < MOST_UNLOGGED {
             self.unlogged.push((severity, text.to_owned()));
         }

@@ -115,7 +115,6 @@ impl Endpoint {
         } else {
             for to in onward.iter() {
                 self.core.outbox.push(to, packet.raw());
-                self.core.forwarded += 1;
             }
         }
         let for_us = target.is_none_or(|(system, component)| {
@@ -236,14 +235,10 @@ impl Endpoint {
             landed: core.commander.landed,
             failsafe: core.commander.failsafe,
             terminated: core.commander.terminated,
-            setpoint_owner: core.setpoints.owner().map(|owner| owner.id),
-            setpoint_age_ns: core.setpoints.owner_age_ns(core.now_ns),
+            setpoint_owner: core.setpoints.owner.map(|owner| owner.id),
             framing: core.framing,
             refusals: core.refusals,
-            forwarded: core.forwarded,
             dropped: core.outbox.dropped,
-            texts: core.texts,
-            last_text: core.last_text.clone(),
         }
     }
 

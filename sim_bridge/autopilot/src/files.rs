@@ -193,7 +193,7 @@ impl FileSystem {
         if keep {
             self.client_file(&path).map(|_| ())
         } else {
-            self.resize(&path, 0, now_s)
+            self.truncate(&path, 0, now_s)
         }
     }
 
@@ -208,10 +208,11 @@ impl FileSystem {
         }
     }
 
-    /// Changes a client's file's length; new bytes are zero.
-    fn resize(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
+    /// Cuts a client's file, or lengthens it by zeros.
+    pub fn truncate(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
+        let path = normalised(path)?;
         let stored: usize = self.clients().flat_map(|entry| &entry.content).map(Vec::len).sum();
-        let (content, modified_s) = self.client_file(path)?;
+        let (content, modified_s) = self.client_file(&path)?;
         let others = stored - content.len();
         if len > content.len() && (len > MAX_FILE || others + len > CLIENT_CAPACITY) {
             return Err(FileError::NoSpace);
@@ -221,17 +222,12 @@ impl FileSystem {
         Ok(())
     }
 
-    /// Cuts a file, or lengthens it by zeros.
-    pub fn truncate(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
-        self.resize(&normalised(path)?, len, now_s)
-    }
-
     /// Writes at an offset; a gap before it reads as zeros.
     pub fn write(&mut self, path: &str, offset: usize, bytes: &[u8], now_s: u64) -> Result<(), FileError> {
         let path = normalised(path)?;
         let end = offset.checked_add(bytes.len()).ok_or(FileError::NoSpace)?;
         let len = self.read(&path)?.len().max(end);
-        self.resize(&path, len, now_s)?;
+        self.truncate(&path, len, now_s)?;
         let (content, _) = self.client_file(&path)?;
         content[offset..end].copy_from_slice(bytes);
         Ok(())

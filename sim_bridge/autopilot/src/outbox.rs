@@ -2,9 +2,9 @@
 
 use crate::LinkId;
 use crate::config::Source;
+use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
 use vigil_mavlink::mavlink::{MavHeader, Message};
-use vigil_mavlink::{MavMessage, framing::CommandAck};
 
 /// Bytes that may wait between two calls of `transmit`; more is dropped and counted.
 const CAPACITY_BYTES: usize = 256 * 1024;
@@ -85,12 +85,8 @@ impl Outbox {
         }
     }
 
-    /// Queues an acknowledgement.
-    pub fn acknowledge(&mut self, link: LinkId, ack: &CommandAck) {
-        self.build(link, |header, out| ack.serialize(header, out).ok());
-    }
-
-    fn build(&mut self, link: LinkId, write: impl FnOnce(MavHeader, &mut [u8]) -> Option<usize>) {
+    /// Queues what is written behind this header.
+    pub fn build(&mut self, link: LinkId, write: impl FnOnce(MavHeader, &mut [u8]) -> Option<usize>) {
         let Some(sequence) = self.sequences.get_mut(usize::from(link.0)) else {
             return;
         };

@@ -54,7 +54,8 @@ pub(crate) fn acknowledge(answer: Answer, command: u16, to: Source, core: &mut C
         target_component: to.id.component,
         ..CommandAck::default()
     };
-    core.outbox.acknowledge(to.link, &ack);
+    core.outbox
+        .build(to.link, |header, out| ack.serialize(header, out).ok());
 }
 
 /// Keeps something of a client instead of what was kept of it; of more clients than `most` the oldest gives way.

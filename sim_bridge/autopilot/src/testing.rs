@@ -179,10 +179,6 @@ impl Bench {
         self.send(API, SCRIPT, &message);
     }
 
-    pub fn send_heartbeat(&mut self, link: LinkId, from: ComponentId) {
-        self.send(link, from, &message!(HEARTBEAT));
-    }
-
     /// Sends a script's COMMAND_LONG, further parameters zero, and returns the result.
     pub fn ask(&mut self, number: u16, params: &[f32]) -> u8 {
         let mut all = [0.0; 7];
@@ -266,11 +262,6 @@ impl Bench {
     /// Asks for a parameter, by its name where the index is −1.
     pub fn read_parameter(&mut self, name: &str, param_index: i16) {
         self.tell(message!(PARAM_REQUEST_READ, param_index, param_id = name.into()));
-    }
-
-    /// Asks for the list of all parameters.
-    pub fn request_parameters(&mut self) {
-        self.tell(message!(PARAM_REQUEST_LIST));
     }
 
     /// Streams a message at 20 Hz for this long.
@@ -395,11 +386,6 @@ impl Bench {
     pub fn assert_said(&self, words: &str) {
         let texts = self.texts();
         assert!(texts.iter().any(|text| text.contains(words)), "{words}: {texts:?}");
-    }
-
-    /// The last heartbeat on a link.
-    pub fn heartbeat(&self, link: LinkId) -> HEARTBEAT_DATA {
-        self.last(link)
     }
 }
 

@@ -4,49 +4,26 @@
 
 use vigil_mavlink::framing::{Command, CommandForm};
 
-/// Command and its parameters, in missions and as a command. A command that is not here is not looked at.
-const USED: &[(u16, &[usize], &[usize])] = &[
-    (16, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
-    (17, &[3, 4, 5, 6, 7], &[]),
-    // Ground stations and scripts give it a place, which is home's and the rally points' to say.
-    (20, &[5, 6, 7], &[]),
-    (21, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
+/// Commands with their parameters, in missions and as a command. A command that is not here is not looked at.
+const USED: &[(&[u16], &[usize], &[usize])] = &[
+    (&[16, 21, 31], &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
+    (&[17], &[3, 4, 5, 6, 7], &[]),
+    // Ground stations and scripts give the return a place, which is home's and the rally points' to say.
+    (&[20, 5100], &[5, 6, 7], &[]),
     // Ground stations send a pitch in parameter 1 that multicopters do not use.
-    (22, &[1, 4, 5, 6, 7], &[1, 4, 5, 6, 7]),
-    (31, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
-    (80, &[1, 2, 3, 5, 6, 7], &[1, 2, 3, 5, 6, 7]),
-    (93, &[1, 2, 3, 4], &[1, 2, 3, 4]),
-    (176, &[1, 2, 3], &[1, 2, 3]),
-    (177, &[1, 2], &[1, 2]),
-    (178, &[1, 2, 3], &[1, 2, 3]),
-    (186, &[1, 2], &[1, 2]),
-    (189, &[5, 6, 7], &[5, 6, 7]),
-    (195, &[5, 6, 7], &[1, 5, 6, 7]),
-    (196, &[1], &[1]),
-    (197, &[1], &[1]),
-    (201, &[1, 2, 3, 5, 6, 7], &[1, 2, 3, 5, 6, 7]),
-    (206, &[1, 2, 3, 4], &[1, 2, 3, 4]),
-    (211, &[1, 2], &[1, 2]),
-    (214, &[1, 2, 3], &[1, 2, 3]),
-    (400, &[1, 2], &[1, 2]),
-    (420, &[1, 2, 3, 4], &[1, 2, 3, 4]),
-    (530, &[1, 2], &[1, 2]),
-    (532, &[1, 2, 3], &[1, 2, 3]),
-    (2000, &[1, 2, 3, 4], &[1, 2, 3, 4]),
-    (2001, &[1], &[1]),
-    (2003, &[1, 2, 3, 4], &[1, 2, 3, 4]),
-    (2500, &[1, 2, 3], &[1, 2, 3]),
-    (2501, &[1, 2], &[1, 2]),
-    (5001, &[1, 5, 6], &[1]),
-    (5002, &[1, 5, 6], &[1]),
-    (5003, &[1, 5, 6], &[1]),
-    (5004, &[1, 5, 6], &[1]),
-    (5100, &[5, 6, 7], &[]),
+    (&[22], &[1, 4, 5, 6, 7], &[1, 4, 5, 6, 7]),
+    (&[80, 201], &[1, 2, 3, 5, 6, 7], &[1, 2, 3, 5, 6, 7]),
+    (&[93, 206, 420, 2000, 2003], &[1, 2, 3, 4], &[1, 2, 3, 4]),
+    (&[176, 178, 214, 532, 2500], &[1, 2, 3], &[1, 2, 3]),
+    (&[177, 186, 211, 400, 530, 2501], &[1, 2], &[1, 2]),
+    (&[189], &[5, 6, 7], &[5, 6, 7]),
+    (&[195], &[5, 6, 7], &[1, 5, 6, 7]),
+    (&[196, 197, 2001], &[1], &[1]),
+    (&[5001, 5002, 5003, 5004], &[1, 5, 6], &[1]),
 ];
 
-fn entry(number: u16) -> Option<&'static (u16, &'static [usize], &'static [usize])> {
-    let index = USED.binary_search_by_key(&number, |entry| entry.0).ok()?;
-    USED.get(index)
+fn entry(number: u16) -> Option<&'static (&'static [u16], &'static [usize], &'static [usize])> {
+    USED.iter().find(|(numbers, ..)| numbers.contains(&number))
 }
 
 fn is_left_out(value: f32) -> bool {
@@ -83,25 +60,4 @@ pub(crate) fn misused_in_command(command: &Command) -> Option<usize> {
         };
         !is_left_out && !used.contains(number)
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_table_is_sorted() {
-        assert!(USED.is_sorted_by(|a, b| a.0 < b.0));
-    }
-
-    #[test]
-    fn a_parameter_without_a_meaning_is_found_however_it_is_left_out() {
-        let nan = f32::NAN;
-        assert_eq!(misused_in_item(16, [0.0, 2.0, nan, nan], 1, 1, 5.0), None);
-        assert_eq!(misused_in_item(16, [0.0, 2.0, 1.0, nan], 1, 1, 5.0), Some(3));
-        assert_eq!(misused_in_item(20, [0.0; 4], i32::MIN, i32::MAX, 0.0), None);
-        assert_eq!(misused_in_item(20, [0.0; 4], 0, 7, 5.0), None, "a return with a place");
-        assert_eq!(misused_in_item(93, [0.0; 4], 0, 7, 0.0), Some(6));
-        assert_eq!(misused_in_item(115, [9.0; 4], 7, 7, 7.0), None, "not looked at");
-    }
 }

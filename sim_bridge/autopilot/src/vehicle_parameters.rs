@@ -361,11 +361,6 @@ impl Parameters {
         TABLE.iter().zip(self.values.iter().copied())
     }
 
-    /// Number of parameters.
-    pub fn count() -> usize {
-        TABLE.len()
-    }
-
     /// Gives every one its default again that can be set.
     pub fn reset(&mut self) {
         for (value, info) in self.values.iter_mut().zip(TABLE.iter()) {

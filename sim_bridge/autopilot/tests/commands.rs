@@ -90,7 +90,7 @@ fn a_disarmed_vehicle_rests_where_it_stands_even_in_wind() {
     let after = v.truth();
     assert!((after.position_ned_m - before.position_ned_m).norm() < 2e-3);
     assert!(after.velocity_ned_m_s.norm() < 1e-2);
-    assert!((-after.position_ned_m.z - v.standing_height_m()).abs() < 2e-3);
+    assert!((-after.position_ned_m.z - v.standing_height_m() as f32).abs() < 2e-3);
     let view = v.view();
     assert!(view.on_ground && !view.armed);
     assert_eq!(view.sensors.throttle, 0.0);
@@ -126,7 +126,7 @@ fn it_takes_off_hovers_lands_softly_and_idles() {
         let above = v.truth().position_ned_m;
 
         let descent = fly(&mut v, 8.0, &ControlCommand::Descend(0.7));
-        let touches = |t: &&Truth| -t.position_ned_m.z <= v.standing_height_m() + 0.002;
+        let touches = |t: &&Truth| -t.position_ned_m.z <= v.standing_height_m() as f32 + 0.002;
         let touch = descent.iter().find(touches).expect("it reaches the ground");
         assert!(touch.velocity_ned_m_s.z < 0.9, "{}", touch.velocity_ned_m_s.z);
         assert!((touch.position_ned_m - above).horizontal_norm() < 0.6);
@@ -222,11 +222,8 @@ fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
     // The tilt takes a moment to build up, and there is drag.
     assert!((1.4..2.0).contains(&faster.x) && faster.y.abs() < 0.1, "{faster:?}");
     assert!((v.truth().position_ned_m.z + 5.0).abs() < 0.1);
-    fly(
-        &mut v,
-        1.0,
-        &ControlCommand::Acceleration(NedVector::ZERO, YawCommand::Rate(0.5)),
-    );
+    let none = ControlCommand::Acceleration(NedVector::ZERO, YawCommand::Rate(0.5));
+    fly(&mut v, 1.0, &none);
     assert!(v.truth().velocity_ned_m_s.x > 0.8 * faster.x);
     assert!((v.truth().attitude.yaw_rad() - 0.5).abs() < 0.15);
 }

@@ -78,11 +78,8 @@ impl Outline {
                 let to = [at[0] - from[0], at[1] - from[1]];
                 let ahead = to[0] * direction[0] + to[1] * direction[1];
                 let under = radius_m * radius_m - (to[0] * to[0] + to[1] * to[1] - ahead * ahead);
-                if under < 0.0 {
-                    return f32::INFINITY;
-                }
                 let half = under.sqrt();
-                if ahead + half < 0.0 {
+                if under < 0.0 || ahead + half < 0.0 {
                     f32::INFINITY
                 } else {
                     (ahead - half).max(0.0)

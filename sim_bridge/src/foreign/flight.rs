@@ -105,20 +105,16 @@ pub struct ForeignFlight {
     system_is_named: bool,
     /// A vehicle that is heard beside it, where none was named.
     pub(super) other_system: Option<u8>,
-    wants_truth: bool,
+    pub(super) wants_truth: bool,
     truth: Option<(Kinematics, Attitude)>,
     /// The last position that was good, by which a jump is found.
     last: Option<Kinematics>,
     restarts: u32,
     /// [`PoseState::Jumped`] or [`PoseState::Restarted`], whichever came first.
     lost: Option<PoseState>,
-    epoch_ns: Nanos,
-    goal_ned_m: NedVector,
+    pub(super) epoch_ns: Nanos,
     home_ned_m: NedVector,
-    lifted_off_ns: Option<Nanos>,
-    last_judged_ned_m: Option<NedVector>,
     path_length_m: f64,
-    ending: Option<Ending>,
 }
 
 impl ForeignFlight {
@@ -141,12 +137,8 @@ impl ForeignFlight {
             restarts: 0,
             lost: None,
             epoch_ns,
-            goal_ned_m: course.goal_ned_m(),
             home_ned_m: NedVector::ZERO,
-            lifted_off_ns: None,
-            last_judged_ned_m: None,
             path_length_m: 0.0,
-            ending: None,
         })
     }
 
@@ -213,27 +205,30 @@ impl ForeignFlight {
                 self.lose(PoseState::Jumped);
             }
         }
-        if self.lifted_off_ns.is_none() {
+        if !self.has_lifted_off() {
             self.home_ned_m = self.vehicle.home_ned_m().unwrap_or(NedVector::ZERO);
         }
     }
 
+    /// The referee's first look is at the lift-off.
+    fn has_lifted_off(&self) -> bool {
+        self.referee.started_ns.is_some()
+    }
+
     /// On the ground an estimator may still find its place. After the end nothing counts.
     fn lose(&mut self, how: PoseState) {
-        if self.lifted_off_ns.is_some() && self.ending.is_none() {
+        if self.has_lifted_off() && self.referee.outcome().is_none() {
             self.lost.get_or_insert(how);
         }
     }
 
     /// What is rendered and refereed: position and attitude in the local frame.
     fn rendered(&self) -> Option<(Kinematics, Attitude)> {
-        match self.wants_truth {
-            true => self.truth,
-            false => Some((
-                self.vehicle.telemetry.kinematics?,
-                self.vehicle.telemetry.attitude?.attitude,
-            )),
+        if self.wants_truth {
+            return self.truth;
         }
+        let telemetry = &self.vehicle.telemetry;
+        Some((telemetry.kinematics?, telemetry.attitude?.attitude))
     }
 
     /// The pose that is rendered, on the course, at `now_ns`.
@@ -246,7 +241,7 @@ impl ForeignFlight {
 
     /// Shows the referee what was just reported.
     fn referee_step(&mut self, now_ns: Nanos) {
-        if self.pose_state(now_ns) != PoseState::Tracking || self.ending.is_some() {
+        if self.pose_state(now_ns) != PoseState::Tracking || self.referee.outcome().is_some() {
             return;
         }
         let Some((motion, attitude)) = self.pose(now_ns) else {
@@ -256,23 +251,16 @@ impl ForeignFlight {
         // Before home is known an estimate's height may be anything: one that is not armed, or says that it stands, does not fly.
         let telemetry = &self.vehicle.telemetry;
         let may_fly = telemetry.heartbeat.is_some_and(|h| h.armed) && telemetry.landed != Landed::OnGround;
-        if self.lifted_off_ns.is_none() && may_fly && -position_ned_m.z >= LIFT_OFF_M {
-            self.lifted_off_ns = Some(now_ns);
-        }
-        let Some(lifted_off_ns) = self.lifted_off_ns else {
+        let lifts_off = may_fly && -position_ned_m.z >= LIFT_OFF_M;
+        if !self.has_lifted_off() && !lifts_off {
             return;
-        };
-        if let Some(last) = self.last_judged_ned_m.replace(position_ned_m) {
+        }
+        if let Some(last) = self.referee.last_ned_m {
             self.path_length_m += f64::from((position_ned_m - last).norm());
         }
         self.world.set_time_ns(now_ns.saturating_sub(self.epoch_ns));
-        let outcome = self
-            .referee
+        self.referee
             .observe(&self.world, now_ns, position_ned_m, attitude, motion.velocity_ned_m_s);
-        self.ending = outcome.map(|outcome| Ending {
-            outcome,
-            flight_time_s: (now_ns - lifted_off_ns) as f64 * 1e-9,
-        });
     }
 
     /// What is known of the pose at `now_ns`.
@@ -333,7 +321,8 @@ impl ForeignFlight {
 
     /// How the flight ended, once it has. A flight whose position jumped, or whose vehicle restarted, before has no ending.
     pub fn ending(&self) -> Option<Ending> {
-        self.ending
+        let flight_time_s = self.referee.duration_s()?;
+        self.referee.outcome().map(|outcome| Ending { outcome, flight_time_s })
     }
 
     /// Metres flown from lift-off to the ending.
@@ -344,7 +333,7 @@ impl ForeignFlight {
     /// Horizontal distance to the goal; infinite while the pose is not known.
     pub fn goal_distance_m(&self, now_ns: Nanos) -> f32 {
         self.pose(now_ns).map_or(f32::INFINITY, |(motion, _)| {
-            (self.goal_ned_m - motion.position_ned_m).horizontal_norm()
+            (self.referee.goal_ned_m - motion.position_ned_m).horizontal_norm()
         })
     }
 }

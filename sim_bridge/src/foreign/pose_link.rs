@@ -131,13 +131,9 @@ impl PoseLink {
         // Some vehicles speak only to whom they have heard.
         self.sender.system_id = self.system.or(self.spec.system).unwrap_or(1);
         self.sender.listener_heartbeat(&mut self.to_send, 0);
-        if let Some(system) = self.system {
-            self.ask_for_what_is_missing(now_ns, system, wants_truth, wants_places);
-        }
-        self.link.send(&self.to_send);
-    }
-
-    fn ask_for_what_is_missing(&mut self, now_ns: Nanos, system: u8, wants_truth: bool, wants_places: bool) {
+        let Some(system) = self.system else {
+            return self.link.send(&self.to_send);
+        };
         for ([id, _], heard_ns) in STREAMS.into_iter().zip(self.heard_ns) {
             let is_wanted = wants_truth || id != HIL_STATE_QUATERNION_DATA::ID;
             if is_wanted && now_ns.saturating_sub(heard_ns) > MISSING_NS {
@@ -149,6 +145,7 @@ impl PoseLink {
             self.asked += 1;
             self.command(system, REQUEST_MESSAGE, [id as f32, 0.0]);
         }
+        self.link.send(&self.to_send);
     }
 
     fn command(&mut self, system: u8, number: u16, [first, second]: [f32; 2]) {

@@ -90,7 +90,14 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let course = args.course.load(seed)?;
     begins_at_home(&course)?;
     let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
-    let config = configure(args, seed, system)?;
+    let config = ForeignConfig {
+        lidar: VehicleChoice::default().models(args.config.as_deref())?.lidar,
+        seed,
+        sensor_fault: args.sensor_fault,
+        frame_key: lidar_key(args.frame_key.as_deref())?,
+        system,
+        truth: args.truth,
+    };
     let stop = vigil_io::interrupt::set_by_interrupt()?;
     let domain = Domain::open(args.instance, "sensor")?;
     let mut publisher = FramePublisher::create(&domain, &args.frames)?;
@@ -101,8 +108,6 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         companion: CompanionView::default(),
         poses: PosesSaid::default(),
         seen: String::new(),
-        wants_truth: args.truth,
-        epoch_ns,
     };
     announce(&start_lines(args, &course, seed));
     let (mut now_ns, mut due_ns, mut ended_ns) = (epoch_ns, epoch_ns, None);
@@ -146,18 +151,6 @@ fn begins_at_home(course: &Course) -> Result<()> {
     Ok(())
 }
 
-fn configure(args: &RenderArgs, seed: u64, system: Option<u8>) -> Result<ForeignConfig> {
-    let models = VehicleChoice::default().models(args.config.as_deref())?;
-    Ok(ForeignConfig {
-        lidar: models.lidar,
-        seed,
-        sensor_fault: args.sensor_fault,
-        frame_key: lidar_key(args.frame_key.as_deref())?,
-        system,
-        truth: args.truth,
-    })
-}
-
 fn start_lines(args: &RenderArgs, course: &Course, seed: u64) -> String {
     let links: Vec<String> = args.pose.iter().map(ToString::to_string).collect();
     format!(
@@ -178,8 +171,6 @@ struct Sensor {
     companion: CompanionView,
     poses: PosesSaid,
     seen: String,
-    wants_truth: bool,
-    epoch_ns: Nanos,
 }
 
 impl Sensor {
@@ -193,7 +184,7 @@ impl Sensor {
         let vehicle = &self.flight.vehicle;
         let wants_places = vehicle.home_ned_m().is_none() || !vehicle.is_origin_known();
         for link in &mut self.links {
-            link.ask(now_ns, self.wants_truth, wants_places);
+            link.ask(now_ns, self.flight.wants_truth, wants_places);
             link.others_put_aside().iter().for_each(|line| announce(line));
         }
     }
@@ -221,7 +212,7 @@ impl Sensor {
         let (position_ned_m, velocity_ned_m_s, attitude) = finite.unwrap_or_default();
         let state = flight.pose_state(now_ns);
         Status {
-            time_s: (now_ns - self.epoch_ns) as f64 * 1e-9,
+            time_s: (now_ns - flight.epoch_ns) as f64 * 1e-9,
             at_ns: now_ns,
             position_ned_m: position_ned_m.to_array(),
             attitude: [attitude.w, attitude.x, attitude.y, attitude.z],
@@ -251,17 +242,11 @@ impl PosesSaid {
     /// Says it to a person, on change and again while there are no frames.
     fn say(&mut self, now_ns: Nanos, flight: &ForeignFlight) {
         let state = flight.pose_state(now_ns);
-        let since_ns = match self.state {
-            Some((known, since_ns)) if known == state => since_ns,
-            _ => now_ns,
-        };
-        self.state = Some((state, since_ns));
+        self.state = self.state.filter(|(known, _)| *known == state);
+        let (_, since_ns) = *self.state.get_or_insert((state, now_ns));
         let is_brief = now_ns - since_ns < BRIEF_NS && state != PoseState::Tracking;
-        let is_due = match self.said {
-            Some((said, _)) if said != state => true,
-            Some((_, at_ns)) => state != PoseState::Tracking && now_ns - at_ns >= TELL_NS,
-            None => true,
-        };
+        let is_late = |at_ns| state != PoseState::Tracking && now_ns - at_ns >= TELL_NS;
+        let is_due = self.said.is_none_or(|(said, at_ns)| said != state || is_late(at_ns));
         if is_due && !is_brief {
             self.said = Some((state, now_ns));
             let whose = flight.system.map_or(String::new(), |id| format!(" (system {id})"));

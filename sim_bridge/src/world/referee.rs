@@ -44,7 +44,7 @@ impl core::fmt::Display for Outcome {
 /// Watches the true motion and says when the flight is over. The first end counts; what is hit later breaks the vehicle all the same.
 #[derive(Debug, Clone, Default)]
 pub struct Referee {
-    goal_ned_m: NedVector,
+    pub(crate) goal_ned_m: NedVector,
     goal_radius_m: f32,
     /// How far the vehicle's estimate is from the truth from now on. A goal is a place in that estimate, so arriving is decided by it;
     /// collisions and bounds are decided by the truth.
@@ -56,8 +56,8 @@ pub struct Referee {
     /// With cosine and sine of their headings.
     checkpoints: Vec<(Checkpoint, [f32; 2])>,
     passed: usize,
-    started_ns: Option<Nanos>,
-    last_ned_m: Option<NedVector>,
+    pub(crate) started_ns: Option<Nanos>,
+    pub(crate) last_ned_m: Option<NedVector>,
     /// The world's time at the last truth.
     last_world_ns: Option<Nanos>,
     /// As long as the vehicle stays within `free_radius_m` of `free_centre_ned_m`, no obstacle can be touched: its way from there
@@ -141,9 +141,13 @@ impl Referee {
 
     /// From the first truth to the end, in seconds; `None` while the flight lasts.
     pub fn duration_s(&self) -> Option<f64> {
-        let started_ns = self.started_ns?;
-        self.outcome?;
-        Some((self.ended_ns - started_ns) as f64 * 1e-9)
+        self.duration_ns().map(|lasted_ns| lasted_ns as f64 * 1e-9)
+    }
+
+    pub(crate) fn duration_ns(&self) -> Option<Nanos> {
+        self.outcome
+            .and(self.started_ns)
+            .map(|started_ns| self.ended_ns - started_ns)
     }
 
     /// Checkpoints passed so far; they count in order.

@@ -65,18 +65,29 @@ impl Solid {
         Self::cuboid(middle_m, [length_m, width_m], [0.0, height_m], yaw_rad)
     }
 
-    /// Centre, NED metres.
-    pub fn centre_ned_m(&self) -> NedVector {
+    /// Its centre, half of its size along its own axes, and a cuboid's yaw.
+    pub(crate) fn parts(&self) -> (NedVector, [f32; 3], Option<f32>) {
         match *self {
-            Self::Cuboid { centre_ned_m, .. } | Self::Cylinder { centre_ned_m, .. } => centre_ned_m,
+            Self::Cuboid {
+                centre_ned_m,
+                half_extents_m,
+                yaw_rad,
+            } => (centre_ned_m, half_extents_m, Some(yaw_rad)),
+            Self::Cylinder {
+                centre_ned_m,
+                radius_m,
+                half_height_m,
+            } => (centre_ned_m, [radius_m, radius_m, half_height_m], None),
         }
     }
 
+    /// Centre, NED metres.
+    pub fn centre_ned_m(&self) -> NedVector {
+        self.parts().0
+    }
+
     fn half_height_m(&self) -> f32 {
-        match *self {
-            Self::Cuboid { half_extents_m, .. } => half_extents_m[2],
-            Self::Cylinder { half_height_m, .. } => half_height_m,
-        }
+        self.parts().1[2]
     }
 
     /// Height of the lowest face above ground.
@@ -101,25 +112,16 @@ impl Solid {
 
     /// [`plan_distance_m`](Self::plan_distance_m) for many points: what does not depend on the point is computed once.
     pub(crate) fn plan_distances_m(&self) -> impl Fn(f32, f32) -> f32 + use<> {
-        let centre = self.centre_ned_m();
-        let solid = *self;
-        let (s, c) = match solid {
-            Self::Cuboid { yaw_rad, .. } => (libm::sinf(yaw_rad), libm::cosf(yaw_rad)),
-            Self::Cylinder { .. } => (0.0, 1.0),
-        };
+        let (centre, [hx, hy, _], yaw_rad) = self.parts();
+        let (s, c) = yaw_rad.map_or((0.0, 1.0), |yaw_rad| (libm::sinf(yaw_rad), libm::cosf(yaw_rad)));
         move |north_m, east_m| {
             let (x, y) = (north_m - centre.x, east_m - centre.y);
-            match solid {
-                Self::Cuboid {
-                    half_extents_m: [hx, hy, _],
-                    ..
-                } => {
-                    let qx = (c * x + s * y).abs() - hx;
-                    let qy = (c * y - s * x).abs() - hy;
-                    libm::hypotf(qx.max(0.0), qy.max(0.0)) + qx.max(qy).min(0.0)
-                }
-                Self::Cylinder { radius_m, .. } => libm::hypotf(x, y) - radius_m,
+            if yaw_rad.is_none() {
+                return libm::hypotf(x, y) - hx;
             }
+            let qx = (c * x + s * y).abs() - hx;
+            let qy = (c * y - s * x).abs() - hy;
+            libm::hypotf(qx.max(0.0), qy.max(0.0)) + qx.max(qy).min(0.0)
         }
     }
 
@@ -148,57 +150,33 @@ impl Solid {
 
     /// The outline of a cuboid in the plan view.
     pub(crate) fn plan_rectangle(&self) -> Option<Rectangle> {
-        match *self {
-            Self::Cuboid {
-                centre_ned_m,
-                half_extents_m: [length, width, _],
-                yaw_rad,
-            } => Some(Rectangle {
-                centre: [centre_ned_m.x, centre_ned_m.y],
-                half_m: [length, width],
-                along: [libm::cosf(yaw_rad), libm::sinf(yaw_rad)],
-            }),
-            Self::Cylinder { .. } => None,
-        }
+        let (centre, [length, width, _], yaw_rad) = self.parts();
+        yaw_rad.map(|yaw_rad| Rectangle {
+            centre: [centre.x, centre.y],
+            half_m: [length, width],
+            along: [libm::cosf(yaw_rad), libm::sinf(yaw_rad)],
+        })
     }
 
     /// Half extents of the plan view's bounding box: (north, east).
     pub fn plan_half_extents_m(&self) -> (f32, f32) {
-        match *self {
-            Self::Cuboid {
-                half_extents_m: [hx, hy, _],
-                yaw_rad,
-                ..
-            } => {
-                let (s, c) = (libm::sinf(yaw_rad).abs(), libm::cosf(yaw_rad).abs());
-                (c * hx + s * hy, s * hx + c * hy)
-            }
-            Self::Cylinder { radius_m, .. } => (radius_m, radius_m),
-        }
+        let (_, [hx, hy, _], yaw_rad) = self.parts();
+        yaw_rad.map_or((hx, hy), |yaw_rad| {
+            let (s, c) = (libm::sinf(yaw_rad).abs(), libm::cosf(yaw_rad).abs());
+            (c * hx + s * hy, s * hx + c * hy)
+        })
     }
 
     /// The same solid as a parry shape at its pose; the geometry behind collision and the tree's boxes.
     pub(crate) fn shape(&self) -> (Pose3, SharedShape) {
-        let c = self.centre_ned_m();
-        let at = Vec3::new(c.x, c.y, c.z);
-        match *self {
-            Self::Cuboid {
-                half_extents_m: [hx, hy, hz],
-                yaw_rad,
-                ..
-            } => {
-                let half = 0.5 * yaw_rad;
+        let (centre, [hx, hy, hz], yaw_rad) = self.parts();
+        let at = Vec3::from(centre.to_array());
+        match yaw_rad.map(|yaw_rad| 0.5 * yaw_rad) {
+            Some(half) => {
                 let turn = Quat::from_xyzw(0.0, 0.0, libm::sinf(half), libm::cosf(half));
                 (Pose3::from_parts(at, turn), SharedShape::cuboid(hx, hy, hz))
             }
-            Self::Cylinder {
-                radius_m,
-                half_height_m,
-                ..
-            } => (
-                Pose3::from_parts(at, UPRIGHT),
-                SharedShape::cylinder(half_height_m, radius_m),
-            ),
+            None => (Pose3::from_parts(at, UPRIGHT), SharedShape::cylinder(hz, hx)),
         }
     }
 }
@@ -250,27 +228,13 @@ pub(crate) const UPRIGHT: Quat = Quat::from_xyzw(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// A wall 4 m long and 0.2 m thick, turned by 90°: its length lies east.
-    fn wall_to_the_east() -> Solid {
-        Solid::cuboid((5.0, 0.0), [4.0, 0.2], [0.0, 3.0], core::f32::consts::FRAC_PI_2)
-    }
-
-    #[test]
-    fn a_wall_turned_east_is_long_to_the_east() {
-        let wall = wall_to_the_east();
-        let (north, east) = wall.plan_half_extents_m();
-        assert!((north - 0.1).abs() < 1e-5 && (east - 2.0).abs() < 1e-5);
-        assert!((wall.plan_distance_m(4.0, 1.9) - 0.9).abs() < 1e-5);
-        assert!((wall.plan_distance_m(5.0, 3.0) - 1.0).abs() < 1e-5);
-        assert!(wall.plan_distance_m(5.0, 1.0) < 0.0);
-        assert!((wall.bottom_m()).abs() < 1e-6 && (wall.top_m() - 3.0).abs() < 1e-6);
-    }
+    use parry3d::query::details::distance_support_map_support_map;
 
     #[test]
     fn distances_agree_with_parry() {
         let solids = [
-            wall_to_the_east(),
+            // A wall whose length lies east.
+            Solid::cuboid((5.0, 0.0), [4.0, 0.2], [0.0, 3.0], core::f32::consts::FRAC_PI_2),
             Solid::cuboid((3.0, -2.0), [1.0, 2.0], [1.0, 1.8], 0.7),
             Solid::cylinder((-2.0, 4.0), 0.4, 3.0),
         ];
@@ -289,31 +253,6 @@ mod tests {
         }
     }
 
-    /// Points every few millimetres along a solid's outline.
-    fn outline(solid: &Solid) -> Vec<[f32; 2]> {
-        let centre = solid.centre_ned_m();
-        match solid.plan_rectangle() {
-            Some(rectangle) => {
-                let c = rectangle.corners();
-                let side = |k: usize| {
-                    let (from, to) = (c[k], c[(k + 1) % 4]);
-                    (0..300).map(move |i| {
-                        let f = i as f32 / 300.0;
-                        [from[0] + f * (to[0] - from[0]), from[1] + f * (to[1] - from[1])]
-                    })
-                };
-                (0..4).flat_map(side).collect()
-            }
-            None => {
-                let (radius_m, _) = solid.plan_half_extents_m();
-                (0..1000)
-                    .map(|i| core::f32::consts::TAU * i as f32 / 1000.0)
-                    .map(|a| [centre.x + radius_m * libm::cosf(a), centre.y + radius_m * libm::sinf(a)])
-                    .collect()
-            }
-        }
-    }
-
     #[test]
     fn gaps_in_the_plan_view_are_the_least_distances_between_outlines() {
         let (mut apart, mut together) = (0, 0);
@@ -328,12 +267,10 @@ mod tests {
                     Solid::cuboid((north, east), [3.0, 0.2 + libm::cosf(g).abs()], [0.0, 2.0], g)
                 }
             });
-            let to_other = |i: usize| {
-                let points = outline(&solids[i]).into_iter();
-                points.map(move |[n, e]| solids[1 - i].plan_distance_m(n, e))
-            };
-            // By one's distances, which parry confirms, from the other's outline.
-            let expected = to_other(0).chain(to_other(1)).fold(9.0, f32::min).max(0.0);
+            // All are of one height, so that a gap is a distance; parry's own of two cuboids errs.
+            let [(pose, shape), (other_pose, other)] = solids.map(|solid| solid.shape());
+            let [shape, other] = [&shape, &other].map(|shape| shape.as_support_map().expect("convex"));
+            let expected = distance_support_map_support_map(&pose.inv_mul(&other_pose), shape, other);
             let ours = solids[0].plan_gap_m(&solids[1]);
             assert!((ours.max(0.0) - expected).abs() < 0.01, "{solids:?}: {ours} {expected}");
             assert_eq!(ours, solids[1].plan_gap_m(&solids[0]));

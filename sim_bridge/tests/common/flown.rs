@@ -3,17 +3,28 @@
 use vigil_sim::world::{Course, Outcome, Referee, World};
 use vigil_types::{Attitude, NedVector};
 
-/// How a flight along points ends, each of them north, east and height.
-pub fn flown(course: &Course, way: &[[f32; 3]]) -> Outcome {
+/// Flies through `points` in straight lines at `speed_m_s`, a truth every `period_ms`; the outcome and where it came.
+pub fn fly(
+    course: &Course,
+    points: &[[f32; 3]],
+    speed_m_s: f32,
+    period_ms: u64,
+) -> (Option<Outcome>, NedVector, Referee) {
     let (world, mut referee) = (World::new(course), Referee::new(course));
-    let places = way.windows(2).flat_map(|ends| {
-        (0..=100_u8).map(|step| {
-            let [n, e, height] = [0, 1, 2].map(|k| ends[0][k] + f32::from(step) / 100.0 * (ends[1][k] - ends[0][k]));
-            NedVector::new(n, e, -height)
-        })
-    });
-    let mut places = (1..).map(|k| k * 10_000_000).zip(places);
-    places
-        .find_map(|(at_ns, place)| referee.observe(&world, at_ns, place, Attitude::LEVEL_NORTH, NedVector::ZERO))
-        .expect("an end")
+    let mut now_ms = 0;
+    let mut at = NedVector::ZERO;
+    for segment in points.windows(2) {
+        let [from, to] = [0, 1].map(|end| NedVector::new(segment[end][0], segment[end][1], segment[end][2]));
+        let way = to - from;
+        let steps = (way.norm() / (speed_m_s * period_ms as f32 * 1e-3)).ceil().max(1.0);
+        let velocity = way * (speed_m_s / way.norm().max(1e-6));
+        for k in 0..=steps as usize {
+            at = from + way * (k as f32 / steps);
+            if let Some(outcome) = referee.observe(&world, now_ms * 1_000_000, at, Attitude::LEVEL_NORTH, velocity) {
+                return (Some(outcome), at, referee);
+            }
+            now_ms += period_ms;
+        }
+    }
+    (None, at, referee)
 }

@@ -1,14 +1,21 @@
 //! The simulator in lockstep: the same bits for the same seed.
 
-use crate::command;
 use vigil_autopilot::FlightMode;
 use vigil_mavlink::common::{MavFrame, PositionTargetTypemask};
-use vigil_mavlink::framing::encode;
+use vigil_mavlink::framing::{encode, encode_payload};
 use vigil_mavlink::message;
 use vigil_sim::foreign::{ForeignConfig, ForeignFlight};
 use vigil_sim::world::{Column, Family, Outcome, generate};
 use vigil_sim::{STEP_MS, SimConfig, Simulator, Start};
 use vigil_types::{DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, Nanos};
+
+/// A COMMAND_LONG to the vehicle.
+fn command(from: (u8, u8), number: u16, params: [f32; 7]) -> Vec<u8> {
+    let mut payload: Vec<u8> = params.iter().flat_map(|p| p.to_le_bytes()).collect();
+    payload.extend_from_slice(&number.to_le_bytes());
+    payload.extend_from_slice(&[1, 1, 0]);
+    encode_payload(from, 0, 76, &payload).expect("fits")
+}
 
 /// What the vehicle says within some milliseconds.
 fn advance(simulator: &mut Simulator, ms: u32) -> Vec<u8> {

@@ -267,7 +267,9 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
     assert np.isnan(scores[:9]).all()
     assert scores[9:30].max() < 0.5 < scores[35:].min()
     assert len(trained.epochs) == 4 and trained.epochs[trained.chosen - 1][1] == min(e[1] for e in trained.epochs)
+    assert trained.epochs[trained.chosen - 1][2] > 0.8
     again = train(learn, choose, epochs=4, threads=1)
+    assert again.epochs == trained.epochs
     np.testing.assert_array_equal(again.lstm.params, trained.lstm.params)
     trained.lstm.save(os.fsencode(tmp_path / "own"))
     copies = pickle.loads(pickle.dumps(trained)).lstm, copy.deepcopy(trained).lstm

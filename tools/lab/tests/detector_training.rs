@@ -126,7 +126,7 @@ fn the_built_in_detector_judges_the_built_in_actor() {
     let quiet = flown(&scenario);
     scenario.adversary = attacking(AttackConfig::PAPER, 30..60);
     let bent = flown(&scenario);
-    let scorer = WindowScorer::from_frozen(&frozen);
+    let scorer = WindowScorer::from_frozen(frozen);
     let scores = scorer.scores(Isa::detect(), &actor, &[quiet, bent]).unwrap();
     let alarms = [0, 1].map(|flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count());
     let verdicts = scores[0].iter().flatten().count();

@@ -9,8 +9,7 @@ const MOST_PIXELS: usize = 8192;
 /// A pinhole camera without distortion. Pixel (0, 0) is the centre of the upper left one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pinhole {
-    width: usize,
-    height: usize,
+    size_px: [usize; 2],
     focal_px: [f32; 2],
     centre_px: [f32; 2],
 }
@@ -38,10 +37,8 @@ impl Pinhole {
                 return refuse(field, centre, "pixels, within the image");
             }
         }
-        let [width, height] = size_px;
         Ok(Self {
-            width,
-            height,
+            size_px,
             focal_px,
             centre_px,
         })
@@ -49,7 +46,7 @@ impl Pinhole {
 
     /// Width and height, pixels.
     pub fn size_px(&self) -> [usize; 2] {
-        [self.width, self.height]
+        self.size_px
     }
 
     /// The angles between neighbouring pixels in the middle of the image, where they are widest.
@@ -63,22 +60,17 @@ impl Pinhole {
 
     /// The points at depth 1 in the middle of the pixels, row by row.
     pub(crate) fn rays(&self) -> impl Iterator<Item = FrdVector> + use<> {
-        let ([fx, fy], [cx, cy], width) = (self.focal_px, self.centre_px, self.width);
-        (0..self.height).flat_map(move |v| {
+        let ([fx, fy], [cx, cy], [width, height]) = (self.focal_px, self.centre_px, self.size_px);
+        (0..height).flat_map(move |v| {
             let down = (v as f32 - cy) / fy;
             (0..width).map(move |u| FrdVector::new(1.0, (u as f32 - cx) / fx, down))
         })
     }
 
     pub(crate) fn check_size(&self, pixels: usize) -> Result<(), ProjectionError> {
-        match pixels == self.width * self.height {
-            true => Ok(()),
-            false => Err(ProjectionError::ImageSize {
-                pixels,
-                width: self.width,
-                height: self.height,
-            }),
-        }
+        let [width, height] = self.size_px;
+        let error = ProjectionError::ImageSize { pixels, width, height };
+        (pixels == width * height).then_some(()).ok_or(error)
     }
 }
 

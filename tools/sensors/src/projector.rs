@@ -85,20 +85,18 @@ impl Counts {
 pub struct Projector {
     samples: Box<[Sample]>,
     centred: Box<[Sample]>,
-    span_across: f32,
-    span_down: f32,
+    /// [`Resolution::spans`].
+    spans: (f32, f32),
 }
 
 impl Projector {
     /// For a sensor whose beams are that far apart; of several sensors the coarsest counts.
     pub fn new(resolution: Resolution) -> Self {
-        let (span_across, span_down) = resolution.spans();
         let samples = || vec![Sample::default(); DEPTH_PIXELS].into_boxed_slice();
         Self {
             samples: samples(),
             centred: samples(),
-            span_across,
-            span_down,
+            spans: resolution.spans(),
         }
     }
 
@@ -209,7 +207,7 @@ impl Projector {
     /// Writes the image, ranges over 100 m with 1 for no return, and begins the next one. Returns the number of pixels with a range.
     pub fn finish(&mut self, depth: &mut [f32; DEPTH_PIXELS]) -> usize {
         let Self { samples, centred, .. } = self;
-        let mut line = Line::new(self.span_down);
+        let mut line = Line::new(self.spans.1);
         for col in 0..DEPTH_COLS {
             let at = |row: usize| row * DEPTH_COLS + col;
             line.centre(
@@ -223,7 +221,7 @@ impl Projector {
                 },
             );
         }
-        let mut line = Line::new(self.span_across);
+        let mut line = Line::new(self.spans.0);
         let mut returned = 0;
         for (row, out) in centred.chunks_exact(DEPTH_COLS).zip(depth.chunks_exact_mut(DEPTH_COLS)) {
             line.centre(

@@ -1,5 +1,5 @@
 //! A scanner's packets, made by code of its own, become the image that the LiDAR model takes from the same place; what is wrong with
-//! packets is named and gives no frame; and a vehicle flies by them.
+//! packets is named and gives no frame.
 
 #[path = "common/device.rs"]
 mod device;
@@ -7,12 +7,10 @@ mod device;
 mod rays;
 
 use device::{COLUMNS, Device, PER_PACKET};
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sensors::Mount;
 use vigil_sensors::adapters::{Fault, OusterAdapter, OusterDevice, SetupError};
-use vigil_sim::world::{Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, Datagrams, DepthFrame, FrdVector, Nanos, NedVector};
+use vigil_sim::world::{Family, Lidar, LidarConfig, Shot, World, generate};
+use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, FrdVector, Nanos, NedVector};
 
 const STEP_NS: Nanos = 50_000_000;
 const START_NS: Nanos = 200_000_000_000;
@@ -247,41 +245,4 @@ fn metadata_that_cannot_be_used_says_what_is_missing() {
     }
     let page = OusterDevice::from_metadata("<html>").expect_err("a page").to_string();
     assert!(page.starts_with("the metadata file is no JSON: "), "{page}");
-}
-
-#[test]
-fn a_vehicle_flies_a_course_by_a_scanners_packets() {
-    let course = generate(Family::Validation, 7);
-    let world = World::new(&course);
-    let mount = (FrdVector::new(0.05, 0.0, -0.05), Attitude::LEVEL_NORTH);
-    let device = Device::new(64, mount);
-    let mut adapter = adapter(&device, false);
-
-    let mut config = SimConfig::new(course, 7);
-    config.start = Start::Airborne;
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m())).expect("a firmware");
-    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
-    let (mut model, mut seen) = (Box::new(DepthFrame::EMPTY), Box::new(DepthFrame::EMPTY));
-    let (mut received, mut sent) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
-    let mut steps = 0u16;
-    while simulator.ending().is_none() && steps < 1600 {
-        simulator.lockstep(&sent, &mut model, &mut received);
-        let truth = simulator.truth();
-        // Twenty seconds before the simulation began the device was on: its stamps are never negative.
-        let ahead_ns = simulator.now_ns() + 20 * 1_000_000_000;
-        let pose = (truth.position_ned_m, truth.attitude);
-        let mut taken = None;
-        for packet in device.turn(&world, pose, steps, ahead_ns) {
-            let image = adapter.packet(&packet, ahead_ns, &mut seen.depth);
-            taken = taken.or(image.expect("sound packets"));
-        }
-        taken.expect("a frame a turn");
-        // Captured now; pose and numbers as the driver of a vehicle has them.
-        (seen.header, seen.header.checksum) = (model.header, 0);
-        seen.seal();
-        firmware.step(simulator.now_ns(), Some(&seen), &received, &mut sent);
-        steps += 1;
-    }
-    let ending = simulator.ending().unwrap_or_else(|| panic!("no end in {steps} steps"));
-    assert_eq!(ending.outcome, Outcome::Success, "{} s", ending.flight_time_s);
 }

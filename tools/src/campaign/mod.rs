@@ -6,7 +6,7 @@ mod sensor_record;
 mod watch;
 
 pub use recording::Recording;
-pub use sensor_record::{FaultChoice, FaultTally, SensorRecord};
+pub use sensor_record::{FaultChoice, SensorRecord};
 pub use watch::WatchRecord;
 
 use crate::statistics::wilson_95;
@@ -168,11 +168,9 @@ pub fn fly_recorded(
         altered: Rc::default(),
         altered_frames_used: 0,
     };
-    if let Some(key) = &config.frame_key {
-        firmware.firmware.require_frame_keys(FrameKeys {
-            current: Some(key.clone()),
-            other: None,
-        });
+    let current = config.frame_key.clone();
+    if current.is_some() {
+        firmware.firmware.require_frame_keys(FrameKeys { current, other: None });
     }
     let mut adversary = attack
         .map(|attack| attack.interceptor(config.seed, config.course.goal_ned_m()))

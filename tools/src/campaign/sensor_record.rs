@@ -1,9 +1,6 @@
 //! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
 
-use super::Flight;
-use crate::report::TextTable;
 use serde::{Deserialize, Serialize};
-use vigil_sim::world::Outcome;
 use vigil_sim::{SensorFault, SensorFaultMode};
 use vigil_types::{GuidanceState, Reason, STEP_S, StepReport};
 
@@ -80,12 +77,12 @@ impl SensorRecord {
 }
 
 /// Which faults a campaign flies.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum FaultChoice {
-    /// One.
-    One(SensorFault),
-    /// Each in turn, with the onset of this one.
-    All(SensorFault),
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaultChoice {
+    /// As on the command line: of one fault, or `all` with the onset.
+    pub name: String,
+    /// In order.
+    pub faults: Vec<SensorFault>,
 }
 
 impl FaultChoice {
@@ -94,85 +91,16 @@ impl FaultChoice {
     /// # Errors
     /// Anything else, with what there is.
     pub fn parse(text: &str) -> Result<Self, String> {
-        match text
-            .strip_prefix("all")
-            .filter(|rest| rest.is_empty() || rest.starts_with('@'))
-        {
-            Some(onset) => format!("zeros{onset}").parse().map(Self::All),
-            None => text.parse().map(Self::One),
-        }
-    }
-
-    /// The faults, in order.
-    pub fn faults(self) -> Vec<SensorFault> {
-        use clap::ValueEnum;
-        match self {
-            Self::One(fault) => vec![fault],
-            Self::All(fault) => {
-                let modes = SensorFaultMode::value_variants().iter();
-                modes.map(|mode| SensorFault { mode: *mode, ..fault }).collect()
+        let onset = text.strip_prefix("all");
+        let (name, faults) = match onset.filter(|rest| rest.is_empty() || rest.starts_with('@')) {
+            Some(onset) => {
+                let first: SensorFault = format!("zeros{onset}").parse()?;
+                let all = SensorFaultMode::ALL.map(|mode| SensorFault { mode, ..first });
+                (first.to_string().replacen("zeros", "all", 1), all.into())
             }
-        }
-    }
-}
-
-impl std::fmt::Display for FaultChoice {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::One(fault) => fault.fmt(f),
-            Self::All(fault) => write!(f, "all{}", fault.to_string().trim_start_matches(fault.mode.name())),
-        }
-    }
-}
-
-/// How the flights with a fault ended.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct FaultTally {
-    /// The fault, as it is named on the command line.
-    pub fault: String,
-    /// Flights flown.
-    pub flights: usize,
-    /// Flights that touched something or left the course.
-    pub collisions: usize,
-    /// Flights that were held at the end.
-    pub held: usize,
-    /// Flights that reached the goal.
-    pub arrived: usize,
-    /// Flights that did neither in time.
-    pub time_outs: usize,
-}
-
-impl FaultTally {
-    /// Counts the flights with the fault of this name.
-    pub fn of(fault: &str, flights: &[&Flight]) -> Self {
-        let mut tally = Self {
-            fault: fault.to_owned(),
-            ..Self::default()
+            None => (text.parse::<SensorFault>()?.to_string(), vec![text.parse()?]),
         };
-        for flight in flights.iter().filter(|f| f.sensor_fault.as_deref() == Some(fault)) {
-            tally.flights += 1;
-            match flight.record.outcome {
-                Some(Outcome::Success) => tally.arrived += 1,
-                Some(Outcome::Collision | Outcome::OutOfBounds) => tally.collisions += 1,
-                None => tally.held += 1,
-                // One that guidance never flew was held from the start, on the ground as in the air.
-                Some(Outcome::TimeOut) if flight.sensor.held_at_end || flight.sensor.flown_steps == 0 => {
-                    tally.held += 1;
-                }
-                Some(Outcome::TimeOut) => tally.time_outs += 1,
-            }
-        }
-        tally
-    }
-
-    /// The table of all faults.
-    pub fn table(tallies: &[Self]) -> TextTable {
-        let mut table = TextTable::new("sensor fault | > flights | > collision | > safe hold | > arrived | > time-out");
-        for t in tallies {
-            let counts = [t.flights, t.collisions, t.held, t.arrived, t.time_outs].map(|n| n.to_string());
-            table.row([t.fault.clone()].into_iter().chain(counts));
-        }
-        table
+        Ok(Self { name, faults })
     }
 }
 
@@ -207,33 +135,11 @@ mod tests {
     }
 
     #[test]
-    fn a_flight_that_guidance_never_flew_was_held_on_the_ground_as_in_the_air() {
-        let flight = |outcome: Option<&str>, flown_steps: u64| {
-            let of_sensor = SensorRecord {
-                flown_steps,
-                ..SensorRecord::default()
-            };
-            let flight = serde_json::json!({
-                "seed": 4, "from_ground": false, "sensor_fault": "zeros", "outcome": outcome, "flight_time_s": 45.0,
-                "path_length_m": 0.0, "closest_goal_m": 20.0, "closest_obstacle_m": 1.0, "steps": 900, "state_hash": "0",
-                "sensor": of_sensor,
-            });
-            serde_json::from_value::<Flight>(flight).unwrap()
-        };
-        let flights = [
-            flight(None, 0),
-            flight(Some("time-out"), 0),
-            flight(Some("time-out"), 900),
-        ];
-        let tally = FaultTally::of("zeros", &flights.iter().collect::<Vec<_>>());
-        assert_eq!((tally.held, tally.time_outs), (2, 1));
-    }
-
-    #[test]
     fn all_faults_share_the_onset_that_was_given() {
-        let faults = FaultChoice::parse("all@random").unwrap().faults();
+        let FaultChoice { name, faults } = FaultChoice::parse("all@random").unwrap();
+        assert_eq!(name, "all@random");
         assert!(faults.len() > 20 && faults.iter().all(|f| f.to_string().ends_with("@random")));
-        assert_eq!(FaultChoice::parse("frozen@3").unwrap().faults().len(), 1);
+        assert_eq!(FaultChoice::parse("frozen@3").unwrap().faults.len(), 1);
         assert!(FaultChoice::parse("allone").is_err());
     }
 }

@@ -163,13 +163,10 @@ fn mount(text: &str) -> Result<Mount, String> {
 }
 
 /// Where poses come from.
-enum PoseSource {
-    Still(NedVector),
-    Heard(Box<Heard>),
-}
-
 #[derive(Default)]
-struct Heard {
+struct PoseSource {
+    /// The sensor stands there, level, and nothing is heard.
+    still_ned_m: Option<NedVector>,
     links: Vec<PoseLink>,
     vehicle: Vehicle,
     system: Option<u8>,
@@ -179,52 +176,50 @@ struct Heard {
 
 impl PoseSource {
     fn open(args: &CommonArgs) -> Result<Self> {
-        if let Some(height_m) = args.still {
-            if !(0.0..=1000.0).contains(&height_m) {
-                bail!("--still {height_m}: a height from 0 to 1000 m is needed");
-            }
-            return Ok(Self::Still(NedVector::new(0.0, 0.0, -height_m)));
+        if let Some(height_m) = args.still
+            && !(0.0..=1000.0).contains(&height_m)
+        {
+            bail!("--still {height_m}: a height from 0 to 1000 m is needed");
         }
         let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
-        Ok(Self::Heard(Box::new(Heard {
+        Ok(Self {
+            still_ned_m: args.still.map(|height_m| NedVector::new(0.0, 0.0, -height_m)),
             links,
             system,
-            ..Heard::default()
-        })))
+            ..Self::default()
+        })
     }
 
     /// Hears what arrived. Never waits.
     fn listen(&mut self, now_ns: Nanos) {
-        let Self::Heard(heard) = self else { return };
-        let heard = &mut **heard;
-        for link in &mut heard.links {
+        for link in &mut self.links {
             link.receive(now_ns, |datagram| {
-                for packet in packets(datagram, &mut heard.counters) {
-                    if packet.is_of_autopilot(&mut heard.system) {
-                        heard.vehicle.receive(now_ns, &packet);
+                for packet in packets(datagram, &mut self.counters) {
+                    if packet.is_of_autopilot(&mut self.system) {
+                        self.vehicle.receive(now_ns, &packet);
                     }
                 }
             });
         }
-        let telemetry = &heard.vehicle.telemetry;
+        let telemetry = &self.vehicle.telemetry;
         if let (Some(position), Some(attitude)) = (telemetry.kinematics, telemetry.attitude) {
             // The position at the attitude's time.
             let lead_s = (attitude.at_ns as f64 - position.at_ns as f64) as f32 * 1e-9;
             if lead_s.abs() <= MOST_APART_S {
                 let position_ned_m = position.position_ned_m + position.velocity_ned_m_s * lead_s;
-                heard.track.note(attitude.at_ns, position_ned_m, attitude.attitude);
+                self.track.note(attitude.at_ns, position_ned_m, attitude.attitude);
             }
         }
-        for link in &mut heard.links {
+        for link in &mut self.links {
             link.ask(now_ns, false, false);
         }
     }
 
     fn at(&self, stamp_ns: Nanos) -> Option<(NedVector, Attitude)> {
-        match self {
-            Self::Still(position_ned_m) => Some((*position_ned_m, Attitude::LEVEL_NORTH)),
-            Self::Heard(heard) => heard.track.at(stamp_ns),
-        }
+        let still = self
+            .still_ned_m
+            .map(|position_ned_m| (position_ned_m, Attitude::LEVEL_NORTH));
+        still.or_else(|| self.track.at(stamp_ns))
     }
 }
 
@@ -333,7 +328,7 @@ impl Output {
 
     fn end(&self) -> ExitCode {
         say!("frames     {} published", self.published);
-        for line in self.tally.summary().lines() {
+        for line in self.tally.summary() {
             say!("refused    {line}");
         }
         ExitCode::SUCCESS
@@ -478,7 +473,7 @@ mod tests {
     /// With LOCAL_POSITION_NED the firmware compares what frames say of the pose.
     #[test]
     fn poses_are_reported_in_the_vehicles_local_frame_wherever_home_is() {
-        let mut heard = Heard::default();
+        let mut source = PoseSource::default();
         const NOW_NS: Nanos = 1_000_000_000;
         for message in [
             message!(HEARTBEAT, autopilot = MavAutopilot::MAV_AUTOPILOT_PX4),
@@ -493,12 +488,11 @@ mod tests {
             message!(ATTITUDE_QUATERNION, q1 = 1.0),
         ] {
             let bytes = encode((1, 1), 0, &message);
-            for packet in packets(&bytes, &mut heard.counters) {
-                heard.vehicle.receive(NOW_NS, &packet);
+            for packet in packets(&bytes, &mut source.counters) {
+                source.vehicle.receive(NOW_NS, &packet);
             }
         }
-        assert!(heard.vehicle.home_ned_m().is_some_and(|home| home.x == 30.0));
-        let mut source = PoseSource::Heard(Box::new(heard));
+        assert!(source.vehicle.home_ned_m().is_some_and(|home| home.x == 30.0));
         source.listen(NOW_NS);
         let (position_ned_m, _) = source.at(NOW_NS).expect("a pose");
         assert_eq!(position_ned_m, NedVector::new(31.0, 0.0, -2.0));

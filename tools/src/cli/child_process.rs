@@ -85,16 +85,12 @@ impl Process {
     /// It has ended, with the last of what it said.
     pub(super) fn check_when(&mut self, when: &str) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
-            let said = self.said();
+            let said = vigil_types::files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default();
             let lines: Vec<&str> = said.lines().collect();
             let tail = lines[lines.len().saturating_sub(6)..].join("\n  ");
             bail!("the {} ended {when} ({status}); it said last:\n  {tail}", self.name);
         }
         Ok(())
-    }
-
-    fn said(&self) -> String {
-        vigil_types::files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default()
     }
 
     /// Ends the child and returns what it reported.

@@ -11,7 +11,7 @@ use crate::cli::view::ViewerArgs;
 use crate::flight_report;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
-use report::{NO_FAULT, Took, report};
+use report::{NO_FAULT, report};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use shown::Shown;
@@ -250,7 +250,7 @@ impl Settings {
             ground_every: *ground_every,
             second_sensor_heads: second_sensor.heads,
             authenticated_frames: *authenticate_frames,
-            sensor_fault: sensor_fault.map(|fault| fault.to_string()),
+            sensor_fault: sensor_fault.as_ref().map(|choice| choice.name.clone()),
             simulation_sha256: simulation.transpose()?.map(|text| sha256(&text)),
             actor_sha256: actor.map(|actor| actor.sha256()),
             detector_sha256: detector.as_ref().map(FrozenDetector::sha256),
@@ -315,20 +315,6 @@ impl GoalDistance {
 /// Longest flight with a fault of the sensor, seconds: one that is held stays where it is.
 const FAULT_TIME_LIMIT_S: f32 = 45.0;
 
-fn check_ranges(args: &EvaluateArgs) -> Result<()> {
-    ensure!(
-        args.wind >= 0.0 && args.wind <= 20.0,
-        "--wind must be between 0 and 20 m/s, got {}",
-        args.wind
-    );
-    ensure!(
-        args.noise >= 0.0 && args.noise <= 100.0,
-        "--noise must be between 0 and 100, got {}",
-        args.noise
-    );
-    Ok(())
-}
-
 /// Makes the folders, before a flight is flown for nothing.
 fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
     if args.view.is_some() {
@@ -381,18 +367,31 @@ fn lines_beside(args: &EvaluateArgs) -> Result<PathBuf> {
 /// # Errors
 /// A bad configuration, or a folder that cannot be written.
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
-    check_ranges(args)?;
+    let (wind, noise) = (args.wind, args.noise);
+    ensure!(
+        (0.0..=20.0).contains(&wind),
+        "--wind must be between 0 and 20 m/s, got {wind}"
+    );
+    ensure!(
+        (0.0..=100.0).contains(&noise),
+        "--noise must be between 0 and 100, got {noise}"
+    );
     let flying = Flying {
         args,
         models: args.vehicle.models(args.config.as_deref())?,
         attack: args.attack.attack(args.pilot.actor_file())?,
     };
-    let faults = faults(args.sensor_fault);
+    let chosen = args.sensor_fault.iter().flat_map(|choice| &choice.faults);
+    let mut faults: Vec<Option<SensorFault>> = chosen.copied().map(Some).collect();
+    if faults.is_empty() {
+        faults.push(None);
+    }
     prepare(args, &faults)?;
+    let name = |fault: &Option<SensorFault>| fault.map_or_else(|| NO_FAULT.to_owned(), |fault| fault.to_string());
     let jobs = Jobs {
         first_seed: args.seed,
         flights: args.flights,
-        arms: faults.iter().map(|fault| arm_name(*fault)).collect(),
+        arms: faults.iter().map(name).collect(),
     };
     let settings = Settings::of(args, flying.attack.as_ref())?;
     let pool = thread_pool_of(args.threads)?;
@@ -418,12 +417,8 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         }
         Ok(flight)
     })?;
-    let took = Took {
-        wall_s: begun.elapsed().as_secs_f64(),
-        threads: pool.current_num_threads(),
-        before_s,
-    };
-    report(&campaign, &args.json, Some(&took))?;
+    let took = (begun.elapsed().as_secs_f64(), pool.current_num_threads(), before_s);
+    report(&campaign, &args.json, Some(took))?;
     if let Some(shown) = &mut shown {
         shown.end(&interrupt)?;
     }
@@ -441,18 +436,6 @@ pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
     let campaign = Campaign::load(files, json)?;
     report(&campaign, json, None)?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn arm_name(fault: Option<SensorFault>) -> String {
-    fault.map_or_else(|| NO_FAULT.to_owned(), |fault| fault.to_string())
-}
-
-/// What each flight is flown with.
-fn faults(choice: Option<FaultChoice>) -> Vec<Option<SensorFault>> {
-    match choice {
-        None => vec![None],
-        Some(choice) => choice.faults().into_iter().map(Some).collect(),
-    }
 }
 
 /// What all flights have in common.
@@ -533,7 +516,8 @@ impl Flying<'_> {
 
 /// The name of a flight's log, without its ending.
 fn log_name(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> String {
-    match fault.filter(|_| matches!(args.sensor_fault, Some(FaultChoice::All(_)))) {
+    let choice = args.sensor_fault.as_ref();
+    match fault.filter(|_| choice.is_some_and(|choice| choice.faults.len() > 1)) {
         Some(fault) => format!("{seed}-{}", fault.to_string().replace('@', "-at-")),
         None => seed.to_string(),
     }

@@ -2,7 +2,7 @@
 
 use crate::cli::child_process::{LOOK, next_status};
 use crate::cli::fly::Processes;
-use crate::cli::foreign::{PilotWatch, PoseWatch};
+use crate::cli::foreign::{PilotWatch, held_for, is_pose_lost};
 use crate::cli::live::{Live, state_line};
 use crate::cli::output::{Interrupt, say, tell};
 use anyhow::{Result, ensure};
@@ -90,9 +90,8 @@ pub(super) fn watch(
 ) -> Result<()> {
     let flies_m = FLIES_M.min(0.5 * height_m);
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
-    let mut reached_at: Option<Instant> = None;
-    let (mut has_flown, mut disarmed_at, mut silent_looks) = (false, None::<Instant>, 0);
-    let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
+    let (mut has_flown, mut silent_looks, mut pilot) = (false, 0, PilotWatch::default());
+    let [mut reached_at, mut disarmed_at, mut no_pose_since] = [None::<Instant>; 3];
     let is_quiet = matches!(terminal, Terminal::Quiet);
     while !interrupt.came() {
         let in_flight = has_flown || flight.last.as_ref().is_some_and(|status| status.armed);
@@ -115,7 +114,7 @@ pub(super) fn watch(
             adversary.check_when(when)?;
         }
         let Some(status) = &flight.last else { continue };
-        if pose.observe(status)? {
+        if is_pose_lost(status, &mut no_pose_since)? {
             break;
         }
         if let Some(advice) = pilot.observe(status).filter(|_| !is_quiet) {
@@ -123,8 +122,7 @@ pub(super) fn watch(
         }
         match status.outcome {
             Some(Outcome::Success) => {
-                let since = reached_at.get_or_insert_with(Instant::now);
-                if !status.armed || since.elapsed() > LANDING_LIMIT {
+                if !status.armed || held_for(&mut reached_at, true) > LANDING_LIMIT {
                     break;
                 }
             }
@@ -132,8 +130,7 @@ pub(super) fn watch(
             None => {
                 has_flown |= status.armed && status.position_ned_m[2] < -flies_m;
                 let landed = has_flown && !status.armed && status.position_ned_m[2] > -flies_m;
-                disarmed_at = disarmed_at.or_else(|| Some(Instant::now())).filter(|_| landed);
-                if disarmed_at.is_some_and(|at| at.elapsed() > DISARMED_LIMIT) {
+                if held_for(&mut disarmed_at, landed) > DISARMED_LIMIT {
                     let away_m = status.goal_distance_m;
                     if !is_quiet {
                         bar.suspend(|| say!("landed     the vehicle landed and disarmed {away_m:.1} m from the goal"));

@@ -153,7 +153,8 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let interrupt = Interrupt::on_ctrl_c()?;
     let folder = output::make_folder(&args.log, "fly", seed)?;
     let mut processes = Processes::start(args, &course, seed, &folder)?;
-    let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
+    let follow = || args.viewer.follow(&folder, &["--follow"]);
+    let mut viewer = args.view.then(follow).transpose()?;
     let mut terminal = terminal(args, &course, seed);
     let mut flight = Flight::default();
     let height_m = -course.goal_ned_m().z;
@@ -213,13 +214,10 @@ fn terminal(args: &FlyArgs, course: &Course, seed: u64) -> Terminal {
     } else if std::io::stderr().is_terminal() {
         let size = rustix::termios::tcgetwinsize(std::io::stderr());
         let (columns, rows) = size.map_or((80, 24), |size| (size.ws_col.max(20), size.ws_row));
-        Terminal::Live(Box::new(Live::new(
-            title,
-            course,
-            threshold(args, course),
-            columns,
-            rows,
-        )))
+        let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
+        args.pilot.apply(&mut config);
+        let threshold = config.flight_info().detector_threshold;
+        Terminal::Live(Box::new(Live::new(title, course, threshold, columns, rows)))
     } else {
         // The first line comes at once.
         let printed_s = f64::NEG_INFINITY;
@@ -420,13 +418,6 @@ fn adversary_in_words(said: &str) -> String {
         cut => text += &format!("; {cut} iterations ended at the deadline"),
     }
     text
-}
-
-/// The detector's threshold, if it flies.
-fn threshold(args: &FlyArgs, course: &Course) -> Option<f32> {
-    let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
-    args.pilot.apply(&mut config);
-    config.flight_info().detector_threshold
 }
 
 /// The script ends with the log; the viewer that it opened stays.

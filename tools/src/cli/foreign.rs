@@ -1,6 +1,6 @@
 //! `vigil fly` around a vehicle that already runs: PX4's or ArduPilot's own simulation, or a hardware-in-the-loop rig.
 
-use anyhow::{Result, bail};
+use anyhow::{Result, ensure};
 use std::process::Command;
 use std::time::{Duration, Instant};
 use vigil_firmware::arguments::choice;
@@ -88,34 +88,27 @@ impl ForeignArgs {
     }
 }
 
-/// Gives a vehicle up whose pose cannot be rendered.
-#[derive(Default)]
-pub struct PoseWatch {
-    missing_since: Option<Instant>,
+/// For how long something has held without a break; zero where it does not hold now.
+pub fn held_for(since: &mut Option<Instant>, holds: bool) -> Duration {
+    *since = since.or_else(|| Some(Instant::now())).filter(|_| holds);
+    since.map_or(Duration::ZERO, |at| at.elapsed())
 }
 
-impl PoseWatch {
-    /// Looks at a status; `true` when the pose is lost for good, which ends the flight without a verdict.
-    ///
-    /// # Errors
-    /// No pose for half a minute, with what is missing and what to do.
-    pub fn observe(&mut self, status: &Status) -> Result<bool> {
-        let Some(state) = status.pose.as_deref().filter(|_| status.outcome.is_none()) else {
-            self.missing_since = None;
-            return Ok(false);
-        };
-        if PoseState::from_name(state).is_some_and(PoseState::is_final) {
-            return Ok(true);
-        }
-        let since = *self.missing_since.get_or_insert_with(Instant::now);
-        if since.elapsed() > NO_POSE_LIMIT {
-            let limit_s = NO_POSE_LIMIT.as_secs();
-            bail!(
-                "{state}, for {limit_s} s: `vigil doctor --link URL` says what is missing (docs/foreign-vehicles.md)"
-            );
-        }
-        Ok(false)
-    }
+/// Whether the pose is lost for good, which ends the flight without a verdict.
+///
+/// # Errors
+/// No pose for half a minute, with what is missing and what to do.
+pub fn is_pose_lost(status: &Status, missing_since: &mut Option<Instant>) -> Result<bool> {
+    let state = status.pose.as_deref().filter(|_| status.outcome.is_none());
+    let missing = held_for(missing_since, state.is_some());
+    let Some(state) = state else { return Ok(false) };
+    let is_final = PoseState::from_name(state).is_some_and(PoseState::is_final);
+    let limit_s = NO_POSE_LIMIT.as_secs();
+    ensure!(
+        is_final || missing <= NO_POSE_LIMIT,
+        "{state}, for {limit_s} s: `vigil doctor --link URL` says what is missing (docs/foreign-vehicles.md)"
+    );
+    Ok(is_final)
 }
 
 /// Says once what to do with a vehicle that its pilot has: guidance arms nothing in a mode that somebody may fly by sticks.
@@ -131,11 +124,8 @@ impl PilotWatch {
     pub fn observe(&mut self, status: &Status) -> Option<String> {
         self.was_guided |= status.guidance.as_deref() == Some(GuidanceState::Guided.name());
         let mut reasons = status.reasons.iter();
-        if self.is_said || !reasons.any(|reason| reason == Reason::PilotInCommand.name()) {
-            self.waits_since = None;
-            return None;
-        }
-        if self.waits_since.get_or_insert_with(Instant::now).elapsed() < PILOT_PATIENCE {
+        let waits = !self.is_said && reasons.any(|reason| reason == Reason::PilotInCommand.name());
+        if held_for(&mut self.waits_since, waits) < PILOT_PATIENCE {
             return None;
         }
         self.is_said = true;

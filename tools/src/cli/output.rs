@@ -33,8 +33,8 @@ static QUIET: AtomicBool = AtomicBool::new(false);
 /// failure is reported when the program ends ([`finish`]).
 #[macro_export]
 macro_rules! say {
-    () => { $crate::cli::output::put_line(format_args!("")) };
-    ($($text:tt)*) => { $crate::cli::output::put_line(format_args!($($text)*)) };
+    () => { $crate::put!("\n") };
+    ($($text:tt)*) => { $crate::put!("{}\n", format_args!($($text)*)) };
 }
 pub use say;
 
@@ -51,11 +51,6 @@ macro_rules! tell {
     ($($text:tt)*) => { $crate::cli::output::tell_line(format_args!($($text)*)) };
 }
 pub use tell;
-
-#[doc(hidden)]
-pub fn put_line(text: Arguments<'_>) {
-    put_text(format_args!("{text}\n"));
-}
 
 #[doc(hidden)]
 pub fn put_text(text: Arguments<'_>) {
@@ -353,8 +348,8 @@ impl Paint {
         let lines = table.lines();
         for (number, line) in lines.iter().enumerate() {
             match number.checked_sub(1).and_then(|row| good.get(row)) {
-                Some(good) => put_line(format_args!("{}", self.verdict(*good, line))),
-                None => put_line(format_args!("{line}")),
+                Some(good) => say!("{}", self.verdict(*good, line)),
+                None => say!("{line}"),
             }
         }
     }

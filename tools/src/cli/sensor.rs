@@ -2,7 +2,7 @@
 
 use crate::cli::adapter::{self, DepthStreamArgs, OusterArgs, ServiceArgs};
 use crate::cli::output::{self, Paint, say, tell};
-use crate::sensor_check::{Expected, Finding, SensorCheck, Severity};
+use crate::sensor_check::{Finding, SensorCheck, Severity};
 use anyhow::Result;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -62,10 +62,8 @@ pub struct CheckArgs {
 }
 
 fn wall_m(text: &str) -> Result<f32, String> {
-    let metres = text
-        .parse()
-        .ok()
-        .filter(|m| (f32::MIN_POSITIVE..DEPTH_FULL_SCALE_M).contains(m));
+    let metres = text.parse().ok();
+    let metres = metres.filter(|m| (f32::MIN_POSITIVE..DEPTH_FULL_SCALE_M).contains(m));
     metres.ok_or_else(|| format!("give metres, above 0 and below {DEPTH_FULL_SCALE_M}"))
 }
 
@@ -81,15 +79,11 @@ pub(super) struct CheckedFrames {
 impl CheckedFrames {
     /// Listens under a name of its own to a service whose frames are made with these files' keys.
     pub(super) fn open(name: &str, service: &ServiceArgs, keys: &[PathBuf], wall_m: Option<f32>) -> Result<Self> {
-        let expected = Expected {
-            sensor_id: service.sensor_id,
-            keys: frame_keys(keys, service.sensor_id)?,
-            wall_m,
-        };
+        let keys = frame_keys(keys, service.sensor_id)?;
         let domain = Domain::open(service.instance, name)?;
         Ok(Self {
             subscriber: FrameSubscriber::create(&domain, &service.frames)?,
-            check: SensorCheck::new(expected),
+            check: SensorCheck::new(service.sensor_id, keys, wall_m),
             frame: Box::new(DepthFrame::EMPTY),
             _domain: domain,
         })

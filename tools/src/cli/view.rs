@@ -136,20 +136,12 @@ impl ViewerArgs {
         Ok(child)
     }
 
-    /// Shows the flight whose log comes to be in `folder` while it flies. The script reads what the recorder has flushed to the
-    /// file: the firmware does not know of it.
-    pub fn follow(&self, folder: &Path) -> Result<Child> {
-        self.start(&[folder.as_os_str(), "--follow".as_ref()], Some(&folder.join(LOG)))
-    }
-
-    /// Shows several flights whose logs come to be in `folder` under these names (without their ending), each in a tab of its own and
-    /// all side by side. A log that is not there when the script is asked to end (SIGTERM) is not waited for any more.
-    pub fn follow_all(&self, folder: &Path, names: &[String]) -> Result<Child> {
-        let names = names.join(",");
-        self.start(
-            &[folder.as_os_str(), "--flights".as_ref(), names.as_ref()],
-            Some(&folder.join(LOG)),
-        )
+    /// Shows what flies and has its logs in `folder`: `--follow` one flight, `--flights` several by their logs' names (without their
+    /// ending, a comma between two), each in a tab of its own and all side by side. The script reads what the recorder has flushed to the
+    /// file: the firmware does not know of it. A log that is not there when it is asked to end (SIGTERM) is not waited for any more.
+    pub fn follow(&self, folder: &Path, how: &[&str]) -> Result<Child> {
+        let words: Vec<&OsStr> = how.iter().map(OsStr::new).collect();
+        self.start(&[&[folder.as_os_str()], &words[..]].concat(), Some(&folder.join(LOG)))
     }
 
     /// Whether the viewer can show something, or write it into the file that is named.

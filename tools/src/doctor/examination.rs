@@ -3,7 +3,7 @@
 mod findings;
 mod readiness;
 
-use super::ground::ground_tilt;
+use super::ground::{GroundTilt, ground_tilt};
 use super::parameters;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use vigil_mavlink::common::{
@@ -11,13 +11,12 @@ use vigil_mavlink::common::{
     GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA, HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavParamType,
     PARAM_REQUEST_READ_DATA, SYS_STATUS_DATA, SYSTEM_TIME_DATA,
 };
-use vigil_mavlink::framing::{Command, FramingCounters, Packet, packets};
+use vigil_mavlink::framing::{AUTOPILOT, Command, FramingCounters, Packet, packets};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::message;
 use vigil_mavlink::{Flavour, MavMessage, RESTART_MS, Sender, Vehicle};
 use vigil_types::{Attitude, Datagrams, DepthFrame, Kinematics, Nanos, NedVector, wrap_pi};
 
-const AUTOPILOT: u8 = 1;
 /// MAV_COMP_ID_PERIPHERAL: who asks.
 const COMPONENT: u8 = 158;
 /// MAV_COMP_ID_ONBOARD_COMPUTER, under which Vigil's firmware speaks.
@@ -151,7 +150,6 @@ struct Asked {
 pub struct Examination {
     config: ExaminationConfig,
     started_ns: Nanos,
-    counters: FramingCounters,
     vehicle: Vehicle,
     system: Option<u8>,
     other_systems: BTreeSet<u8>,
@@ -186,8 +184,8 @@ pub struct Examination {
     setpoints_of: BTreeSet<(u8, u8)>,
     sticks_of: BTreeSet<(u8, u8)>,
     parameters: BTreeMap<&'static str, Asked>,
-    frame: Option<(Attitude, NedVector, Nanos)>,
-    tilts: Vec<(f32, f32)>,
+    frame: Option<(Attitude, NedVector)>,
+    tilts: Vec<GroundTilt>,
     next_question_ns: Nanos,
     turn: u64,
     sender: Sender,
@@ -208,11 +206,9 @@ impl Examination {
 
     /// Takes a datagram that arrived at `now_ns`.
     pub fn receive(&mut self, now_ns: Nanos, datagram: &[u8]) {
-        let mut counters = self.counters;
-        for packet in packets(datagram, &mut counters) {
+        for packet in packets(datagram, &mut FramingCounters::default()) {
             self.packet(now_ns, &packet);
         }
-        self.counters = counters;
     }
 
     fn packet(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
@@ -387,10 +383,8 @@ impl Examination {
     /// Takes a depth frame that was checked.
     pub fn observe_frame(&mut self, frame: &DepthFrame) {
         let header = &frame.header;
-        self.frame = Some((header.attitude, header.position_ned_m, header.stamp_ns));
-        if let Some(tilt) = ground_tilt(frame) {
-            self.tilts.push((tilt.pitch_rad, tilt.roll_rad));
-        }
+        self.frame = Some((header.attitude, header.position_ned_m));
+        self.tilts.extend(ground_tilt(frame));
     }
 
     /// Adds the questions that are due to `out`. Call it often.
@@ -425,7 +419,8 @@ impl Examination {
             Flavour::Px4 => ESTIMATOR_STATUS_DATA::ID,
             Flavour::ArduPilot => EKF_STATUS_REPORT,
         };
-        let streams = [
+        // Those without an interval are asked for once.
+        let rows = [
             (LOCAL_POSITION_NED_DATA::ID, 33_333.0, GOOD_HZ),
             (ATTITUDE_DATA::ID, 20_000.0, GOOD_HZ),
             (GLOBAL_POSITION_INT_DATA::ID, 200_000.0, 1.0),
@@ -433,27 +428,22 @@ impl Examination {
             (SYS_STATUS_DATA::ID, 500_000.0, 0.5),
             (estimator, 500_000.0, 0.5),
             (SYSTEM_TIME_DATA::ID, 1_000_000.0, 0.5),
+            (HOME_POSITION_DATA::ID, 0.0, 0.0),
+            (GPS_GLOBAL_ORIGIN_DATA::ID, 0.0, 0.0),
         ];
-        let once = [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID];
-        let place = (self.turn / 4) as usize % (streams.len() + once.len());
-        let (number, [id, interval_us]) = match (streams.get(place), once.get(place.wrapping_sub(streams.len()))) {
-            (Some((id, interval_us, least_hz)), _) => {
-                let rate_hz = |id: u32| self.arrivals.get(&id).and_then(|a| a.rate_hz(now_ns)).unwrap_or(0.0);
-                // Attitude comes in one of two messages.
-                let or = match *id {
-                    ATTITUDE_DATA::ID => ATTITUDE_QUATERNION_DATA::ID,
-                    id => id,
-                };
-                if rate_hz(*id).max(rate_hz(or)) >= *least_hz {
-                    return;
-                }
-                (SET_MESSAGE_INTERVAL, [*id as f32, *interval_us])
-            }
-            (None, Some(id)) if !self.arrivals.contains_key(id) => (REQUEST_MESSAGE, [*id as f32, 0.0]),
-            _ => return,
+        let (id, interval_us, least_hz) = rows[(self.turn / 4) as usize % rows.len()];
+        let rate_hz = |id: u32| self.arrivals.get(&id).and_then(|a| a.rate_hz(now_ns)).unwrap_or(0.0);
+        let (number, suffices) = match id {
+            _ if interval_us == 0.0 => (REQUEST_MESSAGE, self.arrivals.contains_key(&id)),
+            // Attitude comes in one of two messages.
+            ATTITUDE_DATA::ID if rate_hz(ATTITUDE_QUATERNION_DATA::ID) >= least_hz => return,
+            _ => (SET_MESSAGE_INTERVAL, rate_hz(id) >= least_hz),
         };
-        let command = Command::to_autopilot(system, number, [id, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0], 0);
-        self.sender.command(out, 0, &command);
+        if !suffices {
+            let parameters = [id as f32, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
+            let command = Command::to_autopilot(system, number, parameters, 0);
+            self.sender.command(out, 0, &command);
+        }
     }
 
     fn ask_for_parameters(&mut self, now_ns: Nanos, system: u8, out: &mut Datagrams) {

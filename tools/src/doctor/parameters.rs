@@ -16,19 +16,9 @@ pub(crate) struct Row {
     pub grade: fn(f32) -> Severity,
 }
 
-impl Row {
-    /// Whether it is of PX4 from 1.18 on, those that have [`STICKS_BY_SPEED`], or of those before; `None` is of all.
-    pub fn by_speed(&self) -> Option<bool> {
-        match self.name {
-            STICKS_BY_SPEED => Some(true),
-            "COM_RC_OVERRIDE" | "COM_RCL_EXCEPT" => Some(false),
-            _ => None,
-        }
-    }
-}
-
-/// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever sends it needs no COM_RCL_EXCEPT either.
+/// What PX4 has from 1.18 on, and what it had before in its place.
 pub(crate) const STICKS_BY_SPEED: &str = "MAN_OVERRIDE_SPD";
+pub(crate) const BEFORE_BY_SPEED: [&str; 2] = ["COM_RC_OVERRIDE", "COM_RCL_EXCEPT"];
 
 /// The fastest mission that is stopped within the 11 m that are looked ahead, rounded down (docs/just-stop.md).
 const GUARDED_M_S: f32 = 5.3;

@@ -13,7 +13,7 @@ use vigil_policy::imported::Channels;
 use vigil_policy::plausibility::smooth_share_of;
 use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_sim::environment::Environment;
-use vigil_sim::vehicle::VehicleParams;
+use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{LidarConfig, Outcome, generate};
 use vigil_types::{Action, DepthFrame};
 
@@ -121,7 +121,13 @@ fn flight_of(scenario: &Scenario) -> Result<Flight> {
         dropout_probability: usual.dropout_probability * scenario.range_noise,
         ..usual
     };
-    let environment = Environment::of(&course, VehicleParams::default(), scenario.wind(), lidar, scenario.seed)?;
+    let [north, east, gust_m_s] = scenario.wind_m_s;
+    let wind = Wind {
+        mean_ned_m_s: [north, east, 0.0],
+        gust_m_s,
+        ..Wind::CALM
+    };
+    let environment = Environment::of(&course, VehicleParams::default(), wind, lidar, scenario.seed)?;
     Ok(Flight::of(environment))
 }
 

@@ -5,7 +5,6 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use vigil_adversary::{AttackConfig, Method, Towards};
-use vigil_sim::vehicle::Wind;
 use vigil_sim::world::Family;
 
 /// Who steers. The actor decides in each step, whichever pilot steers, since its decision is what is explained.
@@ -100,15 +99,6 @@ impl Scenario {
             adversary: None,
             steps: MAX_STEPS,
             altered: u64::MAX,
-        }
-    }
-
-    pub(crate) fn wind(&self) -> Wind {
-        let [north, east, gust_m_s] = self.wind_m_s;
-        Wind {
-            mean_ned_m_s: [north, east, 0.0],
-            gust_m_s,
-            ..Wind::CALM
         }
     }
 

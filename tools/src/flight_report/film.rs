@@ -63,7 +63,14 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
     }
     let middle = moment.map_or(0, |at| steps.partition_point(|i| *i < at));
     let mut reader = Reader::open(path)?;
-    let mut pixels = Pixels::of(&reader, &steps, moment.map(|_| middle), explained_frames);
+    let reach = moment.map_or(0, |_| explained_frames);
+    // Every second frame around the alarm: from just before the attack shows to where recovery flies.
+    let around = steps.iter().skip(middle.saturating_sub(reach)).step_by(2).take(reach);
+    let explained: Vec<usize> = around.copied().collect();
+    let mut replay = (!explained.is_empty()).then(|| ExplainedReplay::of(&reader));
+    // By the number of the picture.
+    let mut explanations = Vec::new();
+    let mut why_not = None;
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
     let mut pictures = Vec::with_capacity(steps.len());
     let mut record = Box::<TickRecord>::default();
@@ -74,7 +81,7 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
         if !reader.read_next(&mut record)? {
             break;
         }
-        if let Some(replay) = &mut pixels.replay {
+        if let Some(Ok(replay)) = &mut replay {
             replay.step(&record);
         }
         let Some(frame) = record.frame() else { continue };
@@ -85,7 +92,12 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
         let step = &log.steps[number];
         let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
         let before = clean.get(&(frame.header.sequence as u32));
-        pixels.explain(number, pictures.len());
+        if let Some(Ok(replay)) = replay.as_mut().filter(|_| explained.contains(&number)) {
+            match replay.squares() {
+                Ok(phi) => explanations.extend(phi.map(|phi| (pictures.len(), phi))),
+                Err(error) => why_not = Some(error.to_string()),
+            }
+        }
         let change = log.yaw_change(step);
         pictures.push(json!({
             "t": log.seconds(step.now_ns),
@@ -98,69 +110,29 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
             "shap": null,
         }));
     }
-    pixels.draw_into(&mut pictures);
+    draw_explanations(&explanations, &mut pictures);
+    if let Some(Err(error)) = replay {
+        why_not = Some(format!("{error:#}"));
+    }
     // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
-    let telling = |p: &Value| p["clean"].is_string() && p["shap"].is_string() != pixels.explanations.is_empty();
+    let telling = |p: &Value| p["clean"].is_string() && p["shap"].is_string() != explanations.is_empty();
     let found = pictures.iter().skip(middle).position(telling);
     Ok(Film {
         first_frame: (middle + found.unwrap_or(0)).min(pictures.len().saturating_sub(1)),
         frames: pictures,
         film_none: "",
-        note: pixels.note,
+        note: why_not.map(|why| format!("The pixels of the frames are not explained: {why}.")),
     })
 }
 
-/// What each pixel did for the decision, of the steps around the alarm.
-struct Pixels {
-    /// The actor, flown again.
-    replay: Option<ExplainedReplay>,
-    /// The steps that are explained.
-    steps: Vec<usize>,
-    /// By the number of the picture.
-    explanations: Vec<(usize, Vec<f32>)>,
-    /// Why there is nothing.
-    note: Option<String>,
-}
-
-impl Pixels {
-    /// Every second frame around the alarm: from just before the attack shows to where recovery flies.
-    fn of(reader: &Reader, shown: &[usize], middle: Option<usize>, reach: usize) -> Self {
-        let from = middle.unwrap_or(0).saturating_sub(reach);
-        let around = shown.iter().copied().skip(from).step_by(2);
-        let mut pixels = Self {
-            replay: None,
-            steps: around.take(middle.map_or(0, |_| reach)).collect(),
-            explanations: Vec::new(),
-            note: None,
-        };
-        if !pixels.steps.is_empty() {
-            match ExplainedReplay::of(reader) {
-                Ok(replay) => pixels.replay = Some(replay),
-                Err(why) => pixels.note = Some(format!("The pixels of the frames are not explained: {why:#}.")),
-            }
-        }
-        pixels
-    }
-
-    /// Explains a step, if it is one of those, for the picture of this number.
-    fn explain(&mut self, step: usize, picture: usize) {
-        if let Some(replay) = self.replay.as_mut().filter(|_| self.steps.contains(&step)) {
-            match replay.squares() {
-                Ok(phi) => self.explanations.extend(phi.map(|phi| (picture, phi))),
-                Err(error) => self.note = Some(format!("The pixels of the frames are not explained: {error}.")),
-            }
-        }
-    }
-
-    /// All on one scale.
-    fn draw_into(&self, pictures: &mut [Value]) {
-        let values = self.explanations.iter().flat_map(|(_, phi)| phi);
-        let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
-        let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
-        for (place, phi) in &self.explanations {
-            if let Some(picture) = pictures.get_mut(*place) {
-                picture["shap"] = shap_picture(phi, full).into();
-            }
+/// Draws what each pixel did for the decision, all on one scale.
+fn draw_explanations(explanations: &[(usize, Vec<f32>)], pictures: &mut [Value]) {
+    let values = explanations.iter().flat_map(|(_, phi)| phi);
+    let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
+    let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
+    for (place, phi) in explanations {
+        if let Some(picture) = pictures.get_mut(*place) {
+            picture["shap"] = shap_picture(phi, full).into();
         }
     }
 }

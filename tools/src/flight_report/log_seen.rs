@@ -7,7 +7,7 @@ use vigil_log::{FlightInfo, LogEnd, ReadError, Reader, Story, TickRecord};
 use vigil_sim::world::Solid;
 use vigil_types::{
     AlarmResponse, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, GuidanceState, Kinematics, Landed, Nanos, NedVector, PilotKind,
-    Reason, StepReport,
+    StepReport,
 };
 
 /// Who had the vehicle in a step; the number is the place in this list.
@@ -151,12 +151,6 @@ impl LogSeen {
                 || matches!(s.report.state, GuidanceState::Guided)
         };
         self.steps.iter().any(in_air)
-    }
-
-    /// Whether the firmware held at the goal.
-    pub fn reached_goal(&self) -> bool {
-        let at_goal = |s: &StepSeen| s.report.reasons.contains(Reason::GoalReached);
-        self.steps.iter().any(at_goal)
     }
 
     /// The steps in which an alarm was raised, or changed its cause.

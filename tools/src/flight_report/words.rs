@@ -29,7 +29,7 @@ pub fn verdict(log: &LogSeen) -> (String, bool) {
         (text + ".", outcome.starts_with("success"))
     } else if !log.took_off() {
         ("The vehicle never took off.".to_owned(), false)
-    } else if log.reached_goal() {
+    } else if log.steps.iter().any(|s| s.report.reasons.contains(Reason::GoalReached)) {
         ("The goal was reached.".to_owned(), true)
     } else {
         let last = log.steps.last().map(|s| (s.report.state, s.report.reasons));
@@ -200,18 +200,14 @@ fn delay(log: &LogSeen) -> Option<String> {
 }
 
 fn who_flew(log: &LogSeen) -> String {
-    let mut steps = [0_usize; WHO.len()];
-    for step in &log.steps {
-        if let Some(count) = steps.get_mut(usize::from(log.who(&step.report))) {
-            *count += 1;
-        }
-    }
-    let listed: Vec<String> = steps
-        .iter()
+    let who: Vec<u8> = log.steps.iter().map(|step| log.who(&step.report)).collect();
+    let steps = (0..)
         .zip(WHO)
         .skip(1)
-        .filter(|(count, _)| **count > 0)
-        .map(|(count, name)| format!("{name} {:.1} s", *count as f64 * f64::from(STEP_S)))
+        .map(|(n, name)| (who.iter().filter(|who| **who == n).count(), name));
+    let listed = steps.filter(|(count, _)| *count > 0);
+    let listed: Vec<String> = listed
+        .map(|(count, name)| format!("{name} {:.1} s", count as f64 * f64::from(STEP_S)))
         .collect();
     match listed.is_empty() {
         true => "nobody: guidance never engaged".to_owned(),

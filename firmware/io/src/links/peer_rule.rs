@@ -1,7 +1,7 @@
 //! Who may become the peer of a link that listens, and stay it.
 
 use vigil_mavlink::common::HEARTBEAT_DATA;
-use vigil_mavlink::framing::{FramingCounters, Packet, packets};
+use vigil_mavlink::framing::{AUTOPILOT, FramingCounters, Packet, packets};
 use vigil_mavlink::mavlink::MessageData;
 
 /// By what a caller shows that it may be the peer. What it sends must also pass the gate.
@@ -16,9 +16,6 @@ pub enum PeerRule {
     /// Anybody who speaks MAVLink: by a packet with a right checksum.
     Anyone,
 }
-
-/// The autopilot's component.
-pub(super) const AUTOPILOT: u8 = 1;
 
 impl PeerRule {
     /// Whether a packet shows that its sender may become the peer. `has_key`: the gate verifies signatures.

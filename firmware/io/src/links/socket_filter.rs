@@ -2,9 +2,10 @@
 //! queue nor uses up a step's reads. It only sheds load. Who is heard is decided where datagrams are read.
 //! <https://docs.kernel.org/networking/filter.html>
 
-use super::peer_rule::{AUTOPILOT, PeerRule};
+use super::peer_rule::PeerRule;
 use socket2::{SockFilter, SockRef};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
+use vigil_mavlink::framing::AUTOPILOT;
 use vigil_types::{Nanos, STEP_NS};
 
 /// Instructions of a program: enough for ten peers by IPv6.

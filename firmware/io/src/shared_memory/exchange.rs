@@ -1,7 +1,6 @@
 //! Lockstep between two processes: the simulator asks (client), the firmware answers (server), one step at a time.
 
 use super::Domain;
-use super::layout::{WireRequest, WireResponse};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -28,6 +27,39 @@ pub enum LockstepError {
     /// The other side is not there, is silent or of another version, the role is taken, or the transport refuses.
     #[error("{0}")]
     Failed(String),
+}
+
+#[derive(Debug)]
+#[repr(C)]
+struct WireRequest {
+    step: u64,
+    now_ns: u64,
+    /// 1 when no more steps come; what else is here means nothing then.
+    finishes: u32,
+    /// 1 when `frame` is new in this step.
+    has_frame: u32,
+    received: Datagrams,
+    frame: DepthFrame,
+}
+
+#[derive(Debug)]
+#[repr(C)]
+struct WireResponse {
+    step: u64,
+    sent: Datagrams,
+}
+
+// SAFETY: both are `repr(C)` plain data without pointers or invalid bit patterns (the frame: see `ShmFrame`).
+unsafe impl ZeroCopySend for WireRequest {
+    unsafe fn type_name() -> &'static str {
+        "vigil_lockstep_request_v3"
+    }
+}
+// SAFETY: as above.
+unsafe impl ZeroCopySend for WireResponse {
+    unsafe fn type_name() -> &'static str {
+        "vigil_lockstep_response_v2"
+    }
 }
 
 type Factory = request_response::PortFactory<ipc::Service, WireRequest, (), WireResponse, ()>;

@@ -30,7 +30,7 @@ const MAX_PENDING: usize = 8;
 
 /// A depth frame in shared memory.
 #[repr(transparent)]
-pub(crate) struct ShmFrame(pub(crate) DepthFrame);
+struct ShmFrame(DepthFrame);
 
 // SAFETY: DepthFrame is `repr(C)` plain data without padding, pointers or invalid bit patterns (its tests assert the
 // layout), so any process may read it, whatever bytes another one wrote.

@@ -9,7 +9,6 @@
 mod domain;
 mod exchange;
 mod frames;
-mod layout;
 
 pub use domain::{Domain, DomainError, remove_leftovers};
 pub use exchange::{LockstepClient, LockstepError, LockstepServer, Served, StepRequest};

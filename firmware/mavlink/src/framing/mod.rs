@@ -12,7 +12,7 @@ mod stream;
 mod tests;
 
 pub use command::{Command, CommandAck, CommandForm};
-pub use packet::{FramingCounters, Packet, packets};
+pub use packet::{AUTOPILOT, FramingCounters, Packet, packets};
 pub use serialize::{MAX_PACKET_LEN, SerializeError, renumber, serialize, serialize_payload};
 #[cfg(feature = "std")]
 pub use serialize::{encode, encode_payload};

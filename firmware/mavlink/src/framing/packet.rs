@@ -10,7 +10,7 @@ const V2_HEADER_LEN: usize = 10;
 const CRC_LEN: usize = 2;
 const SIGNATURE_LEN: usize = 13;
 /// The autopilot's component.
-const AUTOPILOT: u8 = 1;
+pub const AUTOPILOT: u8 = 1;
 /// MAV_AUTOPILOT_INVALID: not a vehicle.
 const NO_AUTOPILOT: u8 = 8;
 

@@ -1,11 +1,10 @@
 //! The command protocol: operators' requests to guidance. <https://mavlink.io/en/services/command.html>
 
-use crate::allowance::Allowance;
-use crate::core::Core;
+use super::{Service, Step};
+use crate::core::{Allowance, Core};
 use crate::framing::{Command, Packet};
 use crate::operator::{LET_GO, PendingRequest, ReplyTo, decode, request_name, result, result_of, why};
 use crate::report::InBrackets;
-use crate::service::{Service, Step};
 use crate::status_text::{StatusText, WARNING};
 use core::fmt::Arguments;
 use heapless::{Deque, Vec};

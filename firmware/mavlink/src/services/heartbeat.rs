@@ -1,8 +1,8 @@
 //! The heartbeat protocol. <https://mavlink.io/en/services/heartbeat.html>
 
+use super::{Service, Step};
 use crate::core::{Core, Periodic};
 use crate::report;
-use crate::service::{Service, Step};
 use mavlink::dialects::common::MavType;
 use vigil_types::{Datagrams, Nanos, STEP_NS};
 

@@ -4,6 +4,7 @@
 //! The files never change and nothing can be written, so a repeated request gets the same answer without being remembered.
 //! There is no metadata of events: the guidance computer sends none.
 
+use super::{Service, Step};
 use crate::autopilot::command_number::REQUEST_MESSAGE;
 use crate::core::Core;
 use crate::crc::crc32;
@@ -11,7 +12,6 @@ use crate::framing::{Packet, Zeroed, filled};
 use crate::message;
 use crate::operator::{ReplyTo, result};
 use crate::report::time_boot_ms;
-use crate::service::{Service, Step};
 use heapless::Vec;
 use mavlink::MessageData;
 use mavlink::dialects::common::{COMPONENT_METADATA_DATA, FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr};

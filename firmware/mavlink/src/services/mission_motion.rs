@@ -4,11 +4,11 @@
 //! `WPNAV_ACCEL`, in centimetres, `PSC_JERK_XY` (<https://ardupilot.org/copter/docs/parameters.html#wpnav-accel>). A change is heard too:
 //! either autopilot sends everybody a parameter that is set. One that does not answer is guarded by what is configured, and that is said.
 
+use super::{Service, Step};
 use crate::autopilot::Flavour;
 use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
-use crate::service::{Service, Step};
 use crate::status_text::NOTICE;
 use mavlink::MessageData;
 use mavlink::dialects::common::PARAM_VALUE_DATA;

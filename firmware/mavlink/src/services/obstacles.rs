@@ -1,8 +1,8 @@
 //! OBSTACLE_DISTANCE of what the pilot sees: <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>.
 
+use super::Service;
 use super::status::VALUES_NS;
 use crate::core::{Core, Periodic};
-use crate::service::Service;
 use mavlink::dialects::common::{MavDistanceSensor, MavFrame, MavMessage, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{Datagrams, HORIZONTAL_FOV_RAD, Nanos, ObstacleReports};
 

@@ -1,10 +1,10 @@
 //! The parameter protocol: the guidance computer's own parameters. <https://mavlink.io/en/services/parameter.html>
 
+use super::{Service, Step};
 use crate::core::{Core, Periodic};
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
 use crate::parameter_table::{ParameterRequest, Parameters};
-use crate::service::{Service, Step};
 use crate::status_text::WARNING;
 use mavlink::dialects::common::{MavMessage, MavParamError, PARAM_ERROR_DATA};
 use vigil_types::{Datagrams, Nanos};

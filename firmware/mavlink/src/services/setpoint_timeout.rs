@@ -8,11 +8,11 @@
 //! asked for that first, and the other is then left alone. Nothing waits for this: a vehicle that does not answer is flown
 //! all the same, and people read it.
 
+use super::{Service, Step};
 use crate::autopilot::Flavour;
 use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
-use crate::service::{Service, Step};
 use crate::status_text::{INFO, NOTICE, StatusText, WARNING};
 use core::fmt::Arguments;
 use mavlink::MessageData;

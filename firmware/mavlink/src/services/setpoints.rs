@@ -1,8 +1,8 @@
 //! Velocity setpoints to the vehicle: SET_POSITION_TARGET_LOCAL_NED.
 
+use super::{Service, Step};
 use crate::core::Core;
 use crate::report;
-use crate::service::{Service, Step};
 use vigil_types::{Datagrams, Nanos, VelocitySetpoint};
 
 #[derive(Debug, Clone, Default)]

@@ -1,9 +1,9 @@
 //! What guidance is doing: NAMED_VALUE_FLOATs and STATUSTEXTs on changes.
 
+use super::{Service, Step};
 use crate::autopilot::Flavour;
 use crate::core::{Core, Periodic};
 use crate::report::{self, InBrackets};
-use crate::service::{Service, Step};
 use crate::status_text::{CRITICAL, INFO, NOTICE, StatusText, WARNING};
 use vigil_types::{Alarm, AlarmResponse, Datagrams, GuidanceState, Nanos, Reason, Reasons, Verdict};
 

@@ -2,11 +2,11 @@
 //! them down for everybody on a link. PX4 streams them unprompted; an ArduPilot sends only what is asked for.
 //! <https://mavlink.io/en/services/message_intervals.html>
 
+use super::{Service, Step};
 use crate::autopilot::{Flavour, command_number};
 use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Command, Packet};
-use crate::service::{Service, Step};
 use crate::status_text::WARNING;
 use crate::vehicle::Vehicle;
 use mavlink::MessageData;

@@ -3,10 +3,10 @@
 // Clients still ask by PING.
 #![allow(deprecated)]
 
+use super::Service;
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
-use crate::service::Service;
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavMessage, PING_DATA, TIMESYNC_DATA};
 use vigil_types::Nanos;

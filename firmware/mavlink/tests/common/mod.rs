@@ -6,8 +6,8 @@ pub mod peer;
 use peer::Peer;
 use vigil_guidance::{EngagePolicy, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
 use vigil_mavlink::common::{MavAutopilot, MavCmd, MavFrame, MavType};
-use vigil_mavlink::framing::{Command, CommandForm, FramingCounters, MAX_PACKET_LEN, encode, packets};
-use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage, message};
+use vigil_mavlink::framing::{Command, CommandForm, FramingCounters, encode, packets};
+use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage, Sender, message};
 use vigil_types::{
     Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, RequestOutcome, STEP_NS, StepReport, StepTiming,
     VehicleRequest, VelocitySetpoint,
@@ -23,21 +23,13 @@ pub fn bytes_of(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
     encode(from, 0, message)
 }
 
-pub fn header(from: (u8, u8)) -> MavHeader {
-    MavHeader {
-        system_id: from.0.into(),
-        component_id: from.1,
-        sequence: 0,
-    }
-}
-
 /// A command to the guidance computer, known or not.
 pub fn raw_command(number: u16, params: [f32; 7], form: CommandForm) -> Vec<u8> {
     let mut command = Command::to_autopilot(1, number, params, 0);
     (command.target_component, command.form) = (191, form);
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = command.serialize(header(GROUND_STATION), &mut out).expect("fits");
-    out[..len].to_vec()
+    let mut out = Datagrams::default();
+    Sender::new(GROUND_STATION.0, GROUND_STATION.1).command(&mut out, 0, &command);
+    out.last().expect("fits").to_vec()
 }
 
 /// All messages of all datagrams with their senders, parsed by the crate.

@@ -114,6 +114,8 @@ pub struct ActorMemory {
     /// Slot of the newest scan.
     newest: usize,
     last: Option<Odometry>,
+    /// Heading of the step before.
+    pub(super) yaw_before: Option<(Nanos, f32)>,
     cells: Vec<Cell>,
     /// Cell number + 1 by place, 0 for none.
     index: Vec<u16>,
@@ -209,6 +211,7 @@ impl Default for ActorMemory {
             history: vec![[None; SCAN]; HISTORY],
             newest: 0,
             last: None,
+            yaw_before: None,
             cells: Vec::with_capacity(CELLS),
             index: vec![0; INDEX * INDEX],
             next_overwritten: 0,
@@ -221,7 +224,7 @@ impl Default for ActorMemory {
 }
 
 impl ActorMemory {
-    /// Forgets everything.
+    /// Forgets everything but the heading.
     pub fn reset(&mut self) {
         self.last = None;
         self.cells.clear();
@@ -256,7 +259,7 @@ impl ActorMemory {
     }
 
     /// Takes a new scan: [`SCAN`] proximities, the leftmost first. Of one that holds no numbers nothing is remembered.
-    pub fn observe(&mut self, scan: &[f32; SCAN], at: Odometry) {
+    pub(super) fn remember(&mut self, scan: &[f32; SCAN], at: Odometry) {
         if !scan.iter().all(|proximity| proximity.is_finite()) {
             return;
         }

@@ -2,7 +2,6 @@
 
 #[cfg(feature = "actor-file")]
 mod file;
-mod low_dim;
 pub mod memory;
 mod network;
 mod pilot;
@@ -10,8 +9,7 @@ pub mod senses;
 
 #[cfg(feature = "actor-file")]
 pub use file::{FrozenActor, SLOWEST_M_S};
-pub use low_dim::{BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, GOAL_INPUTS, LowDim};
 pub use memory::{CONTEXT, SCAN};
 pub use network::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorParams, ActorSpec, LOW_UNITS, TRUNK};
 pub use pilot::{Decider, FlightPilot, LearnedPilot};
-pub use senses::LOW_DIM;
+pub use senses::{BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, GOAL_INPUTS, LOW_DIM, LowDim};

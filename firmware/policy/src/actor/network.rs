@@ -6,9 +6,9 @@
 //! 64 → 32, ELU → `1.5 · tanh` of two outputs: x-velocity, yaw.
 
 use crate::PilotInput;
-use crate::actor::low_dim::LowDim;
 use crate::actor::memory::{CONTEXT, OLDER_SCANS, Odometry, SCAN};
-use crate::actor::senses::{LOW_DIM, Senses};
+use crate::actor::senses::{LOW_DIM, LowDim, Senses};
+use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::shape::expect;
@@ -268,7 +268,7 @@ pub struct Actor {
     trunk_tape: Vec<f32>,
     head: Graph,
     head_tape: Vec<f32>,
-    senses: Senses,
+    senses: Box<Senses>,
     scan: [f32; SCAN],
     context: [f32; CONTEXT],
     state: [f32; ACTOR_HIDDEN],
@@ -322,7 +322,7 @@ impl Actor {
             trunk,
             head_tape: vec![0.0; head.tape_len()],
             head,
-            senses: Senses::default(),
+            senses: Box::default(),
             scan: [0.0; SCAN],
             context: [0.0; CONTEXT],
             state: [0.0; ACTOR_HIDDEN],
@@ -360,7 +360,7 @@ impl Actor {
 
     /// Goes on after a gap: of its own motion it knows nothing, what it remembers of places has aged.
     pub fn pause(&mut self) {
-        self.senses.pause();
+        self.senses.yaw_before = None;
         self.last = Action::HOVER;
     }
 

@@ -305,7 +305,7 @@ fn fly_on<'a>(
 mod tests {
     use super::*;
     use crate::geometric::movers::MoverTracker;
-    use crate::geometric::movers::tests::{Scene, look_aside, track};
+    use crate::geometric::movers::tests::{RADIUS_M, Scene, look_aside, track};
     use std::boxed::Box;
     use vigil_types::HeadingVector;
 
@@ -341,42 +341,31 @@ mod tests {
             north_m += v * libm::cosf(yaw) * 0.1;
             east_m += v * libm::sinf(yaw) * 0.1;
             let (n, e) = scene.at(from_s + i as f32 * 0.1);
-            least_m = least_m.min(libm::hypotf(n - north_m, e - east_m) - scene.radius_m - VEHICLE_M);
+            least_m = least_m.min(libm::hypotf(n - north_m, e - east_m) - RADIUS_M - VEHICLE_M);
         }
         least_m
     }
 
     #[test]
-    fn what_would_be_met_is_evaded() {
-        // It comes from the left and is before the vehicle when the vehicle is there.
-        for speed_m_s in [0.4, 0.6, 0.8] {
-            let scene = Scene::of((3.0, -1.5 * speed_m_s - 2.0 * speed_m_s), (0.0, speed_m_s));
-            let plan = decide(&track(&scene, 30), WANTED, None).expect("another plan");
-            assert!(
-                least_m(&scene, 1.5, WANTED.into()) < 0.1,
-                "the test's own: it would be met"
-            );
-            assert!(least_m(&scene, 1.5, plan) > 0.2, "{speed_m_s} m/s: {plan:?}");
-        }
-    }
-
-    #[test]
-    fn what_is_out_of_sight_for_two_seconds_is_evaded_where_it_goes_on_to() {
-        for speed_m_s in [0.4, 0.6, 0.8] {
-            // It is followed for 1.5 s, then the vehicle looks west for 2 s; 2 s later it is before the vehicle.
-            let scene = Scene::of((3.0, -5.3 * speed_m_s), (0.0, speed_m_s));
-            let mut tracker = track(&scene, 30);
-            look_aside(&mut tracker, 30..70);
-            assert!(
-                tracker.movers().all(|m| !m.is_located()),
-                "the test's own: it is out of sight"
-            );
-            assert!(
-                least_m(&scene, 3.5, WANTED.into()) < 0.1,
-                "the test's own: it would be met"
-            );
-            let plan = decide(&tracker, WANTED, None).expect("another plan");
-            assert!(least_m(&scene, 3.5, plan) > 0.1, "{speed_m_s} m/s: {plan:?}");
+    fn what_would_be_met_is_evaded_also_where_it_goes_on_to_out_of_sight() {
+        // It comes from the left, is followed for 1.5 s, and is before the vehicle two seconds later; or the vehicle
+        // looks west for two seconds first.
+        for (begins, unseen_frames, evaded_by_m) in [(3.5, 0, 0.2), (5.3, 40, 0.1)] {
+            let from_s = 1.5 + unseen_frames as f32 * 0.05;
+            for speed_m_s in [0.4, 0.6, 0.8] {
+                let scene = Scene::of((3.0, -begins * speed_m_s), (0.0, speed_m_s));
+                let mut tracker = track(&scene, 30);
+                look_aside(&mut tracker, 30..30 + unseen_frames);
+                let is_seen = unseen_frames == 0;
+                assert!(tracker.movers().all(|m| m.is_located() == is_seen), "the test's own");
+                assert!(
+                    least_m(&scene, from_s, WANTED.into()) < 0.1,
+                    "the test's own: it would be met"
+                );
+                let plan = decide(&tracker, WANTED, None).expect("another plan");
+                let by_m = least_m(&scene, from_s, plan);
+                assert!(by_m > evaded_by_m, "{speed_m_s} m/s: {plan:?}");
+            }
         }
     }
 

@@ -85,42 +85,33 @@ impl Simulated {
     }
 }
 
-/// What must stay free around the vehicle's middle on its way.
-struct Margins {
-    /// Squared distance to each point of the scan.
-    squared_m2: [f32; SECTORS],
-    /// Squared clearance in the memory, cells.
-    squared_cells: u8,
-}
+/// What must stay free around the vehicle's middle on its way: the squared distance to each point of the scan, and the
+/// squared clearance in the memory, cells.
+type Margins = ([f32; SECTORS], u8);
 
-impl Margins {
-    /// These distances, or the present ones where they are less: what is too near already must not get nearer.
-    fn new(scan: &Scan, memory: &OccupancyGrid, at: NedVector, keep_m: f32, keep_squared_cells: u8) -> Self {
-        let mut squared_m2 = [0.0; SECTORS];
-        for (limit, range_m) in squared_m2.iter_mut().zip(&scan.range_m) {
-            let keep_m = keep_m.min(range_m - CREEP_M).max(0.0);
-            *limit = keep_m * keep_m;
-        }
-        Self {
-            squared_m2,
-            squared_cells: memory.clearance_squared_at(at.x, at.y).min(keep_squared_cells),
-        }
-    }
+/// These distances, or the present ones where they are less: what is too near already must not get nearer.
+fn margins(scan: &Scan, memory: &OccupancyGrid, at: NedVector, keep_m: f32, keep_squared_cells: u8) -> Margins {
+    let squared_m2 = scan.range_m.map(|range_m| {
+        let keep_m = keep_m.min(range_m - CREEP_M).max(0.0);
+        keep_m * keep_m
+    });
+    let squared_cells = memory.clearance_squared_at(at.x, at.y).min(keep_squared_cells);
+    (squared_m2, squared_cells)
 }
 
 /// The fastest admissible forward speed up to `wanted_m_s`; 0 if none is.
 pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &OccupancyGrid, wanted_m_s: f32) -> f32 {
     let wanted_m_s = wanted_m_s.clamp(0.0, ACTION_LIMIT);
     let here = motion.position_ned_m;
-    let margins = Margins::new(scan, memory, here, KEEP_CLEAR_M, KEEP_CLEAR_SQUARED_CELLS);
+    let clear = margins(scan, memory, here, KEEP_CLEAR_M, KEEP_CLEAR_SQUARED_CELLS);
     let free = PARTS
         .iter()
         .map(|part| part * wanted_m_s)
-        .find(|&speed_m_s| stays_clear(motion, scan, &margins, memory, speed_m_s, REACTION_S));
+        .find(|&speed_m_s| stays_clear(motion, scan, &clear, memory, speed_m_s, REACTION_S));
     if let Some(speed_m_s) = free {
         return speed_m_s;
     }
-    let squeezed = Margins::new(scan, memory, here, SQUEEZE_CLEAR_M, SQUEEZE_SQUARED_CELLS);
+    let squeezed = margins(scan, memory, here, SQUEEZE_CLEAR_M, SQUEEZE_SQUARED_CELLS);
     let slow_m_s = smaller(wanted_m_s, SQUEEZE_SPEED_M_S);
     if stays_clear(motion, scan, &squeezed, memory, slow_m_s, REACTION_S) {
         slow_m_s
@@ -134,15 +125,15 @@ pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &OccupancyGrid
 /// Only its own cell counts: with a cell more around it, pilots that pass half a metre beside an obstacle would be stopped for it.
 pub fn on_collision_course(motion: &Motion, memory: &OccupancyGrid, speed_m_s: f32, carried_s: f32) -> bool {
     const NOTHING_SEEN: &Scan = &Scan::EMPTY;
-    let margins = Margins::new(NOTHING_SEEN, memory, motion.position_ned_m, 0.0, 1);
-    !stays_clear(motion, NOTHING_SEEN, &margins, memory, speed_m_s, carried_s)
+    let own = margins(NOTHING_SEEN, memory, motion.position_ned_m, 0.0, 1);
+    !stays_clear(motion, NOTHING_SEEN, &own, memory, speed_m_s, carried_s)
 }
 
 /// Whether the vehicle stays clear if it is commanded this speed for `carried_s` and then to stop.
 fn stays_clear(
     motion: &Motion,
     scan: &Scan,
-    margins: &Margins,
+    (squared_m2, squared_cells): &Margins,
     memory: &OccupancyGrid,
     speed_m_s: f32,
     carried_s: f32,
@@ -159,7 +150,7 @@ fn stays_clear(
         });
         let (x, y) = vehicle.at;
         let mut least = f32::INFINITY;
-        for ((px, py), limit) in scan.forward_m.iter().zip(&scan.right_m).zip(&margins.squared_m2) {
+        for ((px, py), limit) in scan.forward_m.iter().zip(&scan.right_m).zip(squared_m2) {
             let (dx, dy) = (px - x, py - y);
             least = smaller(least, dx * dx + dy * dy - limit);
         }
@@ -168,7 +159,7 @@ fn stays_clear(
         }
         let north_m = motion.position_ned_m.x + yaw_cos * x - yaw_sin * y;
         let east_m = motion.position_ned_m.y + yaw_sin * x + yaw_cos * y;
-        if memory.clearance_squared_at(north_m, east_m) < margins.squared_cells {
+        if memory.clearance_squared_at(north_m, east_m) < *squared_cells {
             return false;
         }
     }

@@ -107,6 +107,7 @@ impl MoverTracker {
                 track.predict(seconds);
             }
             track.unseen_s += seconds;
+            track.is_seen = false;
         }
         let at = |range_m: f32, bearing_rad: f32, radius_m: f32| {
             let angle = yaw_rad + bearing_rad;
@@ -116,20 +117,19 @@ impl MoverTracker {
                 radius_m,
             }
         };
-        let mut corrected = [false; MAX_TRACKS];
         for_each_outline(scan, |outline| match outline.thing(at) {
-            Some(thing) => self.enter(&thing, &mut corrected),
-            None => self.enter_part(outline, at, &mut corrected),
+            Some(thing) => self.enter(&thing),
+            None => self.enter_part(outline, at),
         });
         let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
-        for (slot, corrected) in self.tracks.iter_mut().zip(corrected) {
+        for slot in &mut self.tracks {
             let Some(track) = slot else { continue };
-            if !corrected && track.moves {
-                let radius_m = track.radius_m;
-                track.refute(|place| sees_past(scan, place, radius_m, here, (sin, cos)));
+            let radius_m = track.radius_m;
+            let is_past = |place| sees_past(scan, place, radius_m, here, (sin, cos));
+            if !track.is_seen && track.moves {
+                track.refute(is_past);
             }
-            track.lost |=
-                !corrected && sees_past(scan, (track.north_m, track.east_m), track.radius_m, here, (sin, cos));
+            track.lost |= !track.is_seen && is_past((track.north_m, track.east_m));
             let forget_s = if track.moves { FORGET_MOVER_S } else { FORGET_S };
             if track.unseen_s > forget_s {
                 *slot = None;
@@ -139,60 +139,37 @@ impl MoverTracker {
     }
 
     /// Enters a thing: of the track that expects it there, of a lost mover that can be there, or of a new track.
-    fn enter(&mut self, thing: &Thing, corrected: &mut [bool; MAX_TRACKS]) {
+    fn enter(&mut self, thing: &Thing) {
         let off_m = |track: &Track| libm::hypotf(track.north_m - thing.north_m, track.east_m - thing.east_m);
-        let nearest = self
-            .tracks
-            .iter_mut()
-            .zip(corrected.iter_mut())
-            .filter(|(_, corrected)| !**corrected)
-            .filter_map(|(track, corrected)| track.as_mut().map(|track| (track, corrected)))
-            .filter(|(track, _)| track.is_located())
-            .map(|(track, corrected)| (off_m(track), track, corrected))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((off_m, track, corrected)) = nearest
+        let tracks = self.tracks.iter_mut().flatten();
+        let expecting = tracks.filter(|track| !track.is_seen && track.is_located());
+        let nearest = expecting.map(|track| (off_m(track), track));
+        if let Some((off_m, track)) = nearest.min_by(|a, b| a.0.total_cmp(&b.0))
             && off_m < GATE_M
         {
             track.correct(thing);
-            *corrected = true;
             return;
         }
         // What stands on a lost mover's lane is not that mover, which stays lost until the thing is seen to move.
         let on_a_lane = self
             .movers()
             .any(|lost| !lost.is_located() && lost.off_lane_m(thing.north_m, thing.east_m, 0.0) < LANE_GATE_M);
-        let free = self
-            .tracks
-            .iter_mut()
-            .zip(corrected.iter_mut())
-            .find(|(slot, _)| slot.is_none());
-        if let Some((slot, corrected)) = free {
-            *slot = Some(if on_a_lane {
-                Track::found(thing)
-            } else {
-                Track::new(thing)
-            });
-            *corrected = true;
+        if let Some(free) = self.tracks.iter_mut().find(|slot| slot.is_none()) {
+            let track = if on_a_lane { Track::found } else { Track::new };
+            *free = Some(track(thing));
         }
     }
 
     /// Enters what is seen of one side of a mover.
-    fn enter_part(
-        &mut self,
-        outline: &Outline,
-        at: impl Fn(f32, f32, f32) -> Thing + Copy,
-        corrected: &mut [bool; MAX_TRACKS],
-    ) {
-        for (track, corrected) in self.tracks.iter_mut().zip(corrected) {
-            if let Some(track) = track
-                && track.moves
+    fn enter_part(&mut self, outline: &Outline, at: impl Fn(f32, f32, f32) -> Thing + Copy) {
+        for track in self.tracks.iter_mut().flatten() {
+            if track.moves
                 && track.is_located()
-                && !*corrected
+                && !track.is_seen
                 && let Some(thing) = outline.part_of(track.radius_m, at)
                 && libm::hypotf(track.north_m - thing.north_m, track.east_m - thing.east_m) < GATE_M
             {
                 track.correct(&thing);
-                *corrected = true;
                 return;
             }
         }

@@ -85,11 +85,7 @@ impl Scan {
     pub(super) fn nearest_where(&self, counts: impl Fn(f32, f32, f32) -> bool) -> Option<NearestObstacle> {
         let points = self.points().filter(|&(x, y, r)| counts(x, y, r));
         let (x, y, distance_m) = points.min_by(|a, b| a.2.total_cmp(&b.2))?;
-        let bearing_rad = libm::atan2f(y, x);
-        Some(NearestObstacle {
-            distance_m,
-            bearing_rad,
-        })
+        Some(NearestObstacle::new(distance_m, libm::atan2f(y, x)))
     }
 }
 

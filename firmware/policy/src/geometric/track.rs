@@ -63,6 +63,8 @@ pub struct Track {
     slow_frames: u8,
     /// Frames in which it was seen since it is known to move.
     pub(super) moving_frames: u16,
+    /// In the last frame.
+    pub(super) is_seen: bool,
     pub(super) unseen_s: f32,
     /// Not where it would be had it gone on.
     pub(super) lost: bool,
@@ -99,6 +101,7 @@ impl Track {
             lane_m: [at; 2],
             seen_m: at,
             frames: 1,
+            is_seen: true,
             ..Self::default()
         }
     }
@@ -245,7 +248,7 @@ impl Track {
         // A box shows one side now, another then: the larger of what it showed, slowly forgotten.
         self.radius_m = larger(thing.radius_m, 0.98 * self.radius_m + 0.02 * thing.radius_m);
         self.frames = self.frames.saturating_add(1);
-        self.unseen_s = 0.0;
+        (self.is_seen, self.unseen_s) = (true, 0.0);
         self.refuted = 0;
         self.seen_m = (self.north_m, self.east_m);
         self.classify();

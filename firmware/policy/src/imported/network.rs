@@ -109,11 +109,15 @@ fn places(size: usize, window: usize, stride: usize, padding: usize) -> u64 {
 impl Layer {
     /// Its line in a network's text: the kind, the layers that it uses, its sizes, and the word behind them.
     pub(super) fn line(&self) -> Line {
+        let params_of = match self {
+            Self::Gru { params_of, .. } | Self::Lstm { params_of, .. } => Some(*params_of),
+            _ => None,
+        };
         let line = |kind, sources: &[usize], sizes: &[usize]| Line {
             kind,
             sources: sources.to_vec(),
             sizes: sizes.to_vec(),
-            params_of: None,
+            params_of,
             word: String::new(),
         };
         match self {
@@ -143,19 +147,8 @@ impl Layer {
                 line("batch_norm", &[*x], &[layer.channels]).with(layer.epsilon.to_string())
             }
             Self::LayerNorm { x, layer } => line("layer_norm", &[*x], &[layer.width]).with(layer.epsilon.to_string()),
-            Self::Gru { x, h, layer, params_of } => Line {
-                params_of: Some(*params_of),
-                ..line("gru", &[*x, *h], &[layer.inputs, layer.hidden])
-            },
-            Self::Lstm {
-                x,
-                state,
-                layer,
-                params_of,
-            } => Line {
-                params_of: Some(*params_of),
-                ..line("lstm", &[*x, *state], &[layer.inputs, layer.hidden])
-            },
+            Self::Gru { x, h, layer: l, .. } => line("gru", &[*x, *h], &[l.inputs, l.hidden]),
+            Self::Lstm { x, state, layer: l, .. } => line("lstm", &[*x, *state], &[l.inputs, l.hidden]),
         }
     }
 

@@ -69,7 +69,6 @@ pub struct ImportedPilot {
     frame: Vec<f32>,
     /// Where each of its pixels is in our frame.
     places: Vec<u32>,
-    started: bool,
     /// The split point, if it has one.
     split: Option<NodeId>,
     low_dim: Option<LowDim>,
@@ -176,7 +175,6 @@ impl ImportedPilot {
             places: inputs.places().collect(),
             split: split.and_then(|layer| nodes.get(layer).copied()),
             low_dim: None,
-            started: false,
         })
     }
 
@@ -193,9 +191,8 @@ impl ImportedPilot {
 
     /// Decides on our newest frame, ranges over 100 m; within ±1.5. Not finite if its network does not give a number.
     pub fn decide_on(&mut self, depth: &[f32], low_dim: LowDim) -> Action {
-        self.inputs.see(&self.places, depth, !self.started, &mut self.frame);
-        self.started = true;
-        self.low_dim = Some(low_dim);
+        let first = self.low_dim.replace(low_dim).is_none();
+        self.inputs.see(&self.places, depth, first, &mut self.frame);
         let own = self.evaluate(&low_dim).unwrap_or(Action::new(f32::NAN, f32::NAN));
         // What is not finite makes the caller hold, and stays what it is.
         if own.is_finite() { own.clipped() } else { own }
@@ -221,7 +218,6 @@ impl Pilot for ImportedPilot {
     }
 
     fn reset(&mut self) {
-        self.started = false;
         self.low_dim = None;
     }
 }

@@ -25,10 +25,8 @@ pub struct Head {
 impl Layer {
     /// Whose parameters it has, if it has any: its own number, or an earlier step's.
     pub fn params_of(&self, number: usize) -> Option<usize> {
-        match self {
-            Self::Gru { params_of, .. } | Self::Lstm { params_of, .. } => Some(*params_of),
-            _ => (self.param_len() > 0).then_some(number),
-        }
+        let own = || (self.param_len() > 0).then_some(number);
+        self.line().params_of.or_else(own)
     }
 
     /// Number of its parameters.

@@ -143,11 +143,8 @@ impl PlausibilityCheck {
         self.counts = self.picture.take(frame, &mut self.regions.sides);
         self.note_regions(frame);
         let armed = telemetry.heartbeat.is_some_and(|h| h.armed);
-        let known = if telemetry.is_finite() {
-            telemetry.kinematics.zip(telemetry.attitude)
-        } else {
-            None
-        };
+        let known = telemetry.kinematics.zip(telemetry.attitude);
+        let known = known.filter(|_| telemetry.is_finite());
         let height_m = known.map(|(kinematics, _)| self.ground_down_m - kinematics.position_ned_m.z);
 
         let pose = Pose {

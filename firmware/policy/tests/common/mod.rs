@@ -16,12 +16,8 @@ pub enum Solid {
         east: [f32; 2],
         up: [f32; 2],
     },
-    Column {
-        north: f32,
-        east: f32,
-        radius: f32,
-        top: f32,
-    },
+    /// 4 m high.
+    Column { north: f32, east: f32, radius: f32 },
 }
 
 #[derive(Debug, Clone, Default)]
@@ -43,12 +39,7 @@ pub fn beam(north: [f32; 2], east: [f32; 2], up: [f32; 2]) -> Solid {
 }
 
 pub fn column(north: f32, east: f32, radius: f32) -> Solid {
-    Solid::Column {
-        north,
-        east,
-        radius,
-        top: 4.0,
-    }
+    Solid::Column { north, east, radius }
 }
 
 fn slab(origin: f32, direction: f32, range: [f32; 2]) -> (f32, f32) {
@@ -72,17 +63,12 @@ impl Solid {
                 let u = slab(from[2], dir[2], up);
                 (n.0.max(e.0).max(u.0), n.1.min(e.1).min(u.1))
             }
-            Solid::Column {
-                north,
-                east,
-                radius,
-                top,
-            } => {
+            Solid::Column { north, east, radius } => {
                 let (n, e) = (from[0] - north, from[1] - east);
                 let a = dir[0] * dir[0] + dir[1] * dir[1];
                 let b = n * dir[0] + e * dir[1];
                 let root = (b * b - a * (n * n + e * e - radius * radius)).sqrt();
-                let u = slab(from[2], dir[2], [0.0, top]);
+                let u = slab(from[2], dir[2], [0.0, 4.0]);
                 if root.is_nan() {
                     return None;
                 }
@@ -107,9 +93,7 @@ impl Solid {
                 let outside = |x: f32, [low, high]: [f32; 2]| (low - x).max(x - high).max(0.0);
                 outside(position.x, north).hypot(outside(position.y, east))
             }
-            Solid::Column {
-                north, east, radius, ..
-            } => (position.x - north).hypot(position.y - east) - radius,
+            Solid::Column { north, east, radius } => (position.x - north).hypot(position.y - east) - radius,
         }
     }
 }

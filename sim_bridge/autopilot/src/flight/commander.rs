@@ -66,7 +66,7 @@ impl Core {
         match self.commander.mode {
             mode if mode.needs_sticks() => match self.current_sticks() {
                 None => denied("no manual control"),
-                Some(sticks) if sticks.up > mode.arming_throttle() => denied("throttle is up"),
+                Some([.., up, _]) if up > mode.arming_throttle() => denied("throttle is up"),
                 Some(_) => Ok(()),
             },
             FlightMode::Mission => match self.mission_check() {
@@ -83,9 +83,12 @@ impl Core {
 
     /// Whether the owner of OFFBOARD streams, or where there is none somebody does.
     fn has_setpoints(&self) -> bool {
-        match self.setpoints.owner() {
+        match self.setpoints.owner {
             Some(_) => self.owners_setpoint().is_some(),
-            None => self.setpoints.is_streamed(self.now_ns, self.setpoint_max_age_ns()),
+            None => {
+                let max_age_ns = self.setpoint_max_age_ns();
+                self.setpoints.streaming(self.now_ns, max_age_ns).next().is_some()
+            }
         }
     }
 
@@ -95,7 +98,7 @@ impl Core {
             return Ok(());
         }
         self.arming_check()?;
-        if self.commander.mode == FlightMode::Offboard && self.setpoints.owner().is_none() {
+        if self.commander.mode == FlightMode::Offboard && self.setpoints.owner.is_none() {
             self.take_ownership(commander)?;
         }
         self.commander.armed = true;
@@ -204,7 +207,7 @@ impl Core {
     fn enter_offboard(&mut self, commander: Source) -> Result<(), Denial> {
         let max_age_ns = self.setpoint_max_age_ns();
         if self.commander.mode == FlightMode::Offboard
-            && let Some(owner) = self.setpoints.owner()
+            && let Some(owner) = self.setpoints.owner
         {
             // Whoever streams itself and is not the owner wants something else than what is flown.
             let claims = self.setpoints.claims(self.now_ns, max_age_ns, commander);
@@ -231,10 +234,10 @@ impl Core {
         let claims = self.setpoints.claims(self.now_ns, max_age_ns, commander);
         match claims.as_slice() {
             [] => {
-                let defect = self.setpoints.refused(self.now_ns, max_age_ns);
-                Err(Denial::NoSetpoints(
-                    defect.map_or("no setpoints".to_owned(), |defect| defect.to_string()),
-                ))
+                let is_fresh = |(at_ns, _): &(Nanos, _)| self.now_ns.saturating_sub(*at_ns) <= max_age_ns;
+                let refused = self.setpoints.refused.filter(is_fresh);
+                let why = refused.map_or("no setpoints".to_owned(), |(_, defect)| defect.to_string());
+                Err(Denial::NoSetpoints(why))
             }
             &[owner] => {
                 self.clear_failsafe();
@@ -355,7 +358,7 @@ impl Core {
     pub(super) fn enter(&mut self, mode: FlightMode, maneuver: Maneuver) {
         self.commander.maneuver = maneuver;
         self.commander.intended_mode = mode;
-        if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
+        if self.setpoints.owner.is_some() && mode != FlightMode::Offboard {
             self.setpoints.set_owner(None);
             self.inform("setpoint owner: none");
             self.announce::<NAMED_VALUE_FLOAT_DATA>();
@@ -384,7 +387,7 @@ impl Core {
     fn owner_max_age_ns(&self) -> Nanos {
         let max_age_ns = self.setpoint_max_age_ns();
         let guidance = (self.id().system, GUIDANCE_COMPONENT);
-        match self.setpoints.owner() {
+        match self.setpoints.owner {
             Some(owner) if (owner.id.system, owner.id.component) == guidance => {
                 max_age_ns.min(self.param_ns(ParamId::GuidanceLossS))
             }
@@ -414,7 +417,7 @@ impl Core {
 
     /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until they come again or the next mode command.
     pub(super) fn lose_setpoints(&mut self) {
-        self.commander.lost_owner = self.setpoints.owner();
+        self.commander.lost_owner = self.setpoints.owner;
         let response = match self.param(ParamId::OffboardLossAction) as i32 {
             0 => Response::Enter(FlightMode::Position),
             1 => Response::Enter(FlightMode::Altitude),

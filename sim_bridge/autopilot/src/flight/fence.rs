@@ -4,9 +4,9 @@ use crate::core::Core;
 use crate::flight::commander::Response;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::Failsafe;
-use crate::plan::{Breach, PlanKind};
+use crate::plan::PlanKind;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::{FENCE_STATUS_DATA, MavSeverity};
+use vigil_mavlink::common::{FENCE_STATUS_DATA, FenceBreach, MavSeverity};
 
 /// GF_ACTION; any other number holds.
 const NOTHING: i32 = 0;
@@ -28,14 +28,14 @@ impl Core {
     }
 
     /// Which limit a place breaks: metres north and east of the local origin, metres above home.
-    fn fence_breach(&self, place_m: (f32, f32), height_m: f32) -> Option<Breach> {
+    fn fence_breach(&self, place_m: (f32, f32), height_m: f32) -> Option<FenceBreach> {
         let radius_m = self.param(ParamId::FenceRadiusM);
         let max_height_m = self.param(ParamId::FenceHeightM);
         let from_home_m = libm::hypotf(place_m.0 - self.home_m.0, place_m.1 - self.home_m.1);
         if max_height_m > 0.0 && height_m > max_height_m {
-            Some(Breach::Height)
+            Some(FenceBreach::FENCE_BREACH_MAXALT)
         } else if !self.plans.fence.allows(place_m) || (radius_m > 0.0 && from_home_m > radius_m) {
-            Some(Breach::Boundary)
+            Some(FenceBreach::FENCE_BREACH_BOUNDARY)
         } else {
             None
         }

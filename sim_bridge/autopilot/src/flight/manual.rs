@@ -30,8 +30,8 @@ fn beyond_dead_zone(deflection: f32) -> f32 {
 }
 
 /// The throttle stick from 0 to 1.
-pub(super) fn thrust(sticks: Deflections) -> f32 {
-    (sticks.up + 1.0) / 2.0
+pub(super) fn thrust([.., up, _]: Deflections) -> f32 {
+    (up + 1.0) / 2.0
 }
 
 impl Core {
@@ -63,7 +63,7 @@ impl Core {
         let mode = self.commander.mode;
         if on_ground {
             let lifts = match mode {
-                FlightMode::Position | FlightMode::Altitude => beyond_dead_zone(sticks.up) >= 0.1,
+                FlightMode::Position | FlightMode::Altitude => beyond_dead_zone(sticks[2]) >= 0.1,
                 _ => thrust(sticks) > HOVER_THRUST,
             };
             if !lifts {
@@ -81,21 +81,21 @@ impl Core {
 
     /// Velocities along the heading, MPC_XY_CRUISE and MPC_Z_VEL_MAX_* at full deflection.
     fn velocity_by(&self, sticks: Deflections) -> ControlCommand {
-        let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+        let [forward, right, _, clockwise] = sticks.map(beyond_dead_zone);
         let norm = libm::hypotf(forward, right).max(1.0);
         let speed_m_s = self.cruise_speed_m_s(None) / norm;
         let velocity_m_s = HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks));
         ControlCommand::VelocityHeading(velocity_m_s, YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S))
     }
 
-    fn climb_m_s(&self, sticks: Deflections) -> f32 {
-        let up = beyond_dead_zone(sticks.up);
+    fn climb_m_s(&self, [.., up, _]: Deflections) -> f32 {
+        let up = beyond_dead_zone(up);
         up * self.param(if up > 0.0 { ParamId::MaxUpMS } else { ParamId::MaxDownMS })
     }
 
     /// Tilt by the right stick, climb by the throttle; the height is held while that is centred.
     fn tilt_at_height(&mut self, sticks: Deflections, held_down_m: Option<f32>) -> ControlCommand {
-        let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+        let [forward, right, _, clockwise] = sticks.map(beyond_dead_zone);
         let estimate = self.view.estimate;
         let climb_m_s = self.climb_m_s(sticks);
         let held_down_m = (climb_m_s == 0.0).then(|| held_down_m.unwrap_or(estimate.position_ned_m.z));
@@ -116,7 +116,7 @@ impl Core {
     }
 
     fn attitude_by(&self, sticks: Deflections) -> ControlCommand {
-        let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+        let [forward, right, _, clockwise] = sticks.map(beyond_dead_zone);
         let heading_rad = self.view.estimate.attitude.yaw_rad();
         let attitude = Attitude::from_euler_rad(right * MAX_TILT_RAD, -forward * MAX_TILT_RAD, heading_rad);
         ControlCommand::Attitude(attitude, clockwise * MAX_YAW_RATE_RAD_S, thrust(sticks))
@@ -124,7 +124,7 @@ impl Core {
 }
 
 fn rates_by(sticks: Deflections) -> ControlCommand {
-    let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+    let [forward, right, _, clockwise] = sticks.map(beyond_dead_zone);
     let rates_frd_rad_s = FrdVector::new(right, -forward, clockwise) * MAX_ACRO_RATE_RAD_S;
     ControlCommand::Rates(rates_frd_rad_s, thrust(sticks))
 }

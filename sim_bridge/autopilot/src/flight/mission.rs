@@ -227,13 +227,11 @@ impl Core {
     }
 
     fn arrive(&mut self, leg: &Leg) {
-        let mission = &mut self.plans.mission;
         match leg.purpose {
             Purpose::Visit { stay_ns: 0 } | Purpose::TakeOff => self.end_item(true),
             Purpose::Visit { stay_ns } => self.wait(stay_ns),
-            Purpose::Stay => mission.stage = Stage::Staying,
             Purpose::Land => {
-                mission.stage = Stage::Landing;
+                self.plans.mission.stage = Stage::Landing;
                 self.commander.maneuver = Maneuver::Descend;
             }
         }

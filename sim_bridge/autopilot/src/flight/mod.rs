@@ -16,4 +16,4 @@ pub use state::{Failsafe, LandedState};
 
 pub(crate) use control::{attitude_target, position_target};
 pub(crate) use setpoints::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
-pub(crate) use state::{Deflections, Denial, Facing, Orbit, SensorFault};
+pub(crate) use state::{Denial, Facing, Orbit, SensorFault};

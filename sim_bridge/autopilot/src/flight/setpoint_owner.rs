@@ -27,44 +27,18 @@ struct SourceState {
 #[derive(Debug, Default)]
 pub(crate) struct Setpoints {
     sources: Vec<SourceState>,
-    owner: Option<Source>,
-    /// The last that was refused.
-    refused: Option<(Nanos, SetpointDefect)>,
+    /// Whose setpoints are flown.
+    pub owner: Option<Source>,
+    /// The last that was refused, and when.
+    pub refused: Option<(Nanos, SetpointDefect)>,
 }
 
 impl Setpoints {
-    /// Whose setpoints are flown.
-    pub fn owner(&self) -> Option<Source> {
-        self.owner
-    }
-
-    fn owner_state(&self) -> Option<&SourceState> {
-        let owner = self.owner?;
-        self.sources.iter().find(|s| s.id == owner)
-    }
-
-    /// Age of the owner's last setpoint.
-    pub fn owner_age_ns(&self, now_ns: Nanos) -> Option<Nanos> {
-        self.owner_state().map(|s| now_ns.saturating_sub(s.last_ns))
-    }
-
     /// The owner's setpoint, if it is fresh.
     pub fn current(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<ControlCommand> {
-        self.owner_state()
-            .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
-            .map(|s| s.command)
-    }
-
-    /// Remembers that a setpoint was refused.
-    pub fn refuse(&mut self, now_ns: Nanos, defect: SetpointDefect) {
-        self.refused = Some((now_ns, defect));
-    }
-
-    /// Why setpoints are refused that come in place of valid ones.
-    pub fn refused(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<SetpointDefect> {
-        self.refused
-            .filter(|(at_ns, _)| now_ns.saturating_sub(*at_ns) <= max_age_ns)
-            .map(|(_, defect)| defect)
+        let owner = self.owner?;
+        let state = self.sources.iter().find(|s| s.id == owner)?;
+        (now_ns.saturating_sub(state.last_ns) <= max_age_ns).then_some(state.command)
     }
 
     /// Takes a source's newest setpoint. One that is ignored, because somebody else owns OFFBOARD, gives whether its sender has been
@@ -94,14 +68,9 @@ impl Setpoints {
     }
 
     /// Whose setpoints are fresh.
-    fn streaming(&self, now_ns: Nanos, max_age_ns: Nanos) -> impl Iterator<Item = Source> {
+    pub fn streaming(&self, now_ns: Nanos, max_age_ns: Nanos) -> impl Iterator<Item = Source> {
         let is_fresh = move |s: &&SourceState| now_ns.saturating_sub(s.last_ns) <= max_age_ns;
         self.sources.iter().filter(is_fresh).map(|s| s.id)
-    }
-
-    /// Whether anybody streams.
-    pub fn is_streamed(&self, now_ns: Nanos, max_age_ns: Nanos) -> bool {
-        self.streaming(now_ns, max_age_ns).next().is_some()
     }
 
     /// Who could own OFFBOARD on a mode command of `commander`: it alone where it streams, else everybody who does.

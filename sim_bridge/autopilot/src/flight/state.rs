@@ -3,8 +3,8 @@
 
 use crate::config::Source;
 use crate::flight::mode::FlightMode;
-use crate::plan::Breach;
 use crate::vehicle::{ControlCommand, Estimate, Goal};
+use vigil_mavlink::common::FenceBreach;
 use vigil_types::{FrdVector, Nanos, NedVector};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
@@ -61,7 +61,7 @@ pub(crate) enum Denial {
 }
 
 /// Flight state.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Commander {
     pub armed: bool,
     pub terminated: bool,
@@ -232,23 +232,18 @@ pub(crate) struct FollowTarget {
 }
 
 /// Whether the vehicle is outside its geofence, and how often it has been.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct FenceWatch {
-    pub breach: Option<Breach>,
+    /// The limit that is broken.
+    pub breach: Option<FenceBreach>,
     /// Breaches since start.
     pub count: u16,
     /// Milliseconds since boot of the last one.
     pub last_ms: u32,
 }
 
-/// Deflections, each from −1 to 1.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Deflections {
-    pub forward: f32,
-    pub right: f32,
-    pub up: f32,
-    pub clockwise: f32,
-}
+/// Deflections forward, right, up and clockwise, each from −1 to 1.
+pub(crate) type Deflections = [f32; 4];
 
 /// The newest sticks, and whose they are. Two stations' sticks never mix: who streams keeps the vehicle until silent.
 #[derive(Debug, Default)]

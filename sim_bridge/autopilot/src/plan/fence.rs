@@ -12,15 +12,6 @@ const MAX_RADIUS_M: f32 = 20_000.0;
 /// the centimetre to which they are rounded.
 const MIN_WIDTH_M: f32 = 0.02;
 
-/// Which limit is broken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Breach {
-    /// Outside all areas to stay in, inside one to stay out of, or farther from home than GF_MAX_HOR_DIST.
-    Boundary,
-    /// Above GF_MAX_VER_DIST.
-    Height,
-}
-
 #[derive(Debug, Clone, PartialEq)]
 struct Area {
     is_inclusion: bool,
@@ -77,13 +68,8 @@ fn form(item: &PlanItem) -> Option<(bool, bool)> {
 }
 
 /// Whether an item is a circle of radius 0. It holds nothing, wherever it is: MAVSDK's example sends one off Africa, at 0° 0°.
-fn is_empty(item: &PlanItem) -> bool {
+pub(crate) fn is_empty_circle(item: &PlanItem) -> bool {
     matches!(form(item), Some((false, _))) && item.params[0] == 0.0
-}
-
-/// Whether a circle of radius 0 is among the items of a geofence.
-pub(crate) fn has_empty_circle(items: &[PlanItem]) -> bool {
-    items.iter().any(is_empty)
 }
 
 /// The geofence. Without areas everything is allowed.
@@ -102,7 +88,7 @@ impl Fence {
         if !is_sound {
             return Err(PlanDefect::of_parameter(1, "radius or number of vertices"));
         }
-        match is_empty(item) {
+        match is_empty_circle(item) {
             true => Ok(()),
             false => item.point().map(|_| ()),
         }
@@ -116,7 +102,7 @@ impl Fence {
             let size = first.param(1).unwrap_or(0.0);
             let (is_polygon, is_inclusion) = form(first).unwrap_or_default();
             let used = if is_polygon { size as usize } else { 1 };
-            if !is_empty(first) {
+            if !is_empty_circle(first) {
                 let is_same = |item: &&PlanItem| item.command == first.command && item.params[0] == size;
                 let same = rest.iter().take(used).take_while(is_same);
                 let vertices_m = same.map(PlanItem::point).collect::<Result<Vec<_>, _>>()?;
@@ -212,7 +198,7 @@ mod tests {
     #[test]
     fn a_circle_of_radius_0_holds_nothing_and_forbids_nothing() {
         let alone = vec![item(5003, 0.0, (0.0, 5.0))];
-        assert!(has_empty_circle(&alone) && fence(alone).allows((0.0, 0.0)));
+        assert!(alone.iter().any(is_empty_circle) && fence(alone).allows((0.0, 0.0)));
         let mut items = polygon(5001, &L);
         let off_africa = PlanItem {
             x: 0,
@@ -222,7 +208,7 @@ mod tests {
         items.extend([off_africa, item(5003, 0.0, (50.0, 50.0)), item(5004, 0.0, (5.0, 5.0))]);
         let beside = fence(items);
         assert!(beside.allows((5.0, 5.0)) && !beside.allows((50.0, 50.0)));
-        assert!(!has_empty_circle(&polygon(5001, &L)));
+        assert!(!polygon(5001, &L).iter().any(is_empty_circle));
     }
 
     #[test]

@@ -44,10 +44,8 @@ const MAX_WAIT_S: f32 = 86_400.0;
 /// What is to happen at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Purpose {
-    /// Fly there, and stay this long.
+    /// Fly there, and stay this long; the longest time is for good.
     Visit { stay_ns: Nanos },
-    /// Fly there, and stay for good.
-    Stay,
     /// Climb straight up first.
     TakeOff,
     /// Descend there.
@@ -148,7 +146,7 @@ impl MissionItem {
                 let (acceptance_m, visit) = ((radius_m > 0.0).then_some(radius_m), stay(seconds(item)?));
                 leg(item.place()?, heading_rad(item, 4)?, acceptance_m, visit)
             }
-            NAV_LOITER_UNLIM => to(Purpose::Stay),
+            NAV_LOITER_UNLIM => to(stay(Nanos::MAX)),
             NAV_LOITER_TIME => to(stay(seconds(item)?)),
             // Parameter 4 is not a heading here.
             NAV_LOITER_TO_ALT => leg(item.place()?, None, None, stay(0)),
@@ -223,8 +221,6 @@ pub(crate) enum Stage {
     Travelling,
     /// Waiting until this time.
     Waiting { until_ns: Nanos },
-    /// Staying for good.
-    Staying,
     /// Descending.
     Landing,
 }

@@ -6,16 +6,16 @@ mod item;
 pub(crate) mod mission;
 mod rally;
 
-pub(crate) use fence::{Breach, Fence, has_empty_circle};
+pub(crate) use fence::{Fence, is_empty_circle};
 pub(crate) use item::{Envelope, Place, PlanItem};
 pub(crate) use mission::{Leg, Mission, MissionItem, Purpose, Stage};
 pub(crate) use rally::Rally;
 
 use crate::used_parameters::misused_in_item;
-use vigil_mavlink::common::{MavMissionResult, MavMissionType};
+use vigil_mavlink::common::MavMissionResult;
 
 vigil_types::named! {
-    /// The kinds of plan.
+    /// The kinds of plan, by their MAV_MISSION_TYPE.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub(crate) enum PlanKind {
         Mission => "mission",
@@ -27,24 +27,12 @@ vigil_types::named! {
 impl PlanKind {
     /// Reads a MAV_MISSION_TYPE.
     pub fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.wire() as u8 == number)
-    }
-
-    pub const fn wire(self) -> MavMissionType {
-        match self {
-            Self::Mission => MavMissionType::MAV_MISSION_TYPE_MISSION,
-            Self::Fence => MavMissionType::MAV_MISSION_TYPE_FENCE,
-            Self::Rally => MavMissionType::MAV_MISSION_TYPE_RALLY,
-        }
+        Self::ALL.get(usize::from(number)).copied()
     }
 
     /// Most items of a plan.
     pub const fn capacity(self) -> u16 {
-        match self {
-            Self::Mission => 1000,
-            Self::Fence => 200,
-            Self::Rally => 32,
-        }
+        [1000, 200, 32][self as usize]
     }
 }
 

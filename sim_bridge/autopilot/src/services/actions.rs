@@ -148,14 +148,8 @@ pub(super) fn to_local((lat, lon): (f64, f64)) -> Result<(f32, f32), Refusal> {
         .ok_or_else(refusal)
 }
 
-/// The place of parameters 5 to 7 in a global frame.
-fn place(command: &Command, core: &Core) -> Result<NedVector, Refusal> {
-    let height_m = command.param(7).map(height_m);
-    place_at(command, height_m, core)
-}
-
-/// The same with its height above home given; `None` is the vehicle's.
-fn place_at(command: &Command, height_m: Option<f32>, core: &Core) -> Result<NedVector, Refusal> {
+/// The place of parameters 5 and 6 in a global frame, its height above home given; `None` is the vehicle's.
+fn place(command: &Command, height_m: Option<f32>, core: &Core) -> Result<NedVector, Refusal> {
     check_frame(command.frame())?;
     height_m.map_or(Ok(()), check_height)?;
     let here = core.view.estimate.position_ned_m;
@@ -178,7 +172,7 @@ fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if !is_placed && command.param(7).is_none() && command.param(4).is_none() {
         return Ok(core.stop_here()?);
     }
-    let position = place(command, core)?;
+    let position = place(command, command.param(7).map(height_m), core)?;
     let yaw = match command.param(4) {
         Some(yaw_rad) if yaw_rad.is_finite() => YawCommand::Angle(yaw_rad),
         _ => YawCommand::Hold,
@@ -251,7 +245,7 @@ fn look_at(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let place_m = match (command.number, command.param(1)) {
         (DO_SET_ROI_LOCATION, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_LOCATION)) => {
             latitude_longitude_deg(command).ok_or(Refusal::DENIED)?;
-            let place = place_at(command, None, core)?;
+            let place = place(command, None, core)?;
             Some((place.x, place.y))
         }
         (DO_SET_ROI_NONE, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_NONE)) => None,
@@ -287,7 +281,7 @@ fn orbit(command: &Command, _source: Source, core: &mut Core) -> Answer {
         return Err(Refusal::DENIED);
     }
     let orbit = Orbit {
-        centre_ned_m: place(command, core)?,
+        centre_ned_m: place(command, command.param(7).map(height_m), core)?,
         radius_m: radius_m.abs(),
         is_clockwise: (radius_m > 0.0) == (speed_m_s > 0.0),
         speed_m_s: speed_m_s.abs(),

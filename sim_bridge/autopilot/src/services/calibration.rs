@@ -53,7 +53,11 @@ impl Service for Calibration {
                 }
                 return Ok(());
             }
-            [1.0, ..] => ("gyro", gyro, MAX_RATE_RAD_S),
+            [1.0, ..] => (
+                "gyro",
+                |view| view.sensors.gyroscope_frd_rad_s.to_array(),
+                MAX_RATE_RAD_S,
+            ),
             [_, _, _, _, 2.0, ..] => ("level", tilt, MAX_TILT_RAD),
             [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
                 let text = "calibration denied: nobody turns a simulated vehicle by hand";
@@ -121,10 +125,6 @@ impl Service for Calibration {
         let text = format!("[cal] calibration failed: {failure}");
         core.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
     }
-}
-
-fn gyro(view: &VehicleView) -> [f32; 3] {
-    view.sensors.gyroscope_frd_rad_s.to_array()
 }
 
 fn tilt(view: &VehicleView) -> [f32; 3] {

@@ -247,7 +247,7 @@ impl Ftp {
                 Some(made) => made.len(),
                 None => core.files.read(path)?.len(),
             };
-            self.open(request, client, false, core.now_ns)?.made = made;
+            self.open(request, client, core.now_ns)?.made = made;
             number(size as u32)
         } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
             self.open_for_writing(request, client, core)?
@@ -305,12 +305,13 @@ impl Ftp {
         let path = request.path()?;
         if is_packed(path) {
             // It takes effect as a whole when the session ends.
-            self.open(request, client, true, core.now_ns)?.made = Some(Vec::new());
+            let session = self.open(request, client, core.now_ns)?;
+            (session.writes, session.made) = (true, Some(Vec::new()));
             return Ok(number(0));
         }
         self.make_room(client, request.session, core.now_ns)?;
         core.files.open_for_writing(path, exists, now_s)?;
-        self.open(request, client, true, core.now_ns)?;
+        self.open(request, client, core.now_ns)?.writes = true;
         Ok(number(core.files.read(path)?.len() as u32))
     }
 
@@ -364,13 +365,7 @@ impl Ftp {
     }
 
     /// Opens what a request names.
-    fn open(
-        &mut self,
-        request: &Request<'_>,
-        client: Source,
-        writes: bool,
-        now_ns: Nanos,
-    ) -> Result<&mut Session, Nak> {
+    fn open(&mut self, request: &Request<'_>, client: Source, now_ns: Nanos) -> Result<&mut Session, Nak> {
         let (number, path) = (request.session, request.path()?);
         self.make_room(client, number, now_ns)?;
         self.sessions.push(Session {
@@ -378,7 +373,7 @@ impl Ftp {
             number,
             path: path.to_owned(),
             made: None,
-            writes,
+            writes: false,
             used_ns: now_ns,
             burst: None,
         });

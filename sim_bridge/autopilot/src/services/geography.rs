@@ -5,7 +5,6 @@
 //! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
 
 use crate::geo::{self, ORIGIN, deg_e7};
-use crate::plan::Breach;
 use crate::plan::mission::DO_SET_HOME;
 use crate::service::prelude::*;
 use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M, latitude_longitude_deg, to_local};
@@ -114,11 +113,7 @@ fn fence_status(core: &Core) -> Option<MavMessage> {
             breach_time: watch.last_ms,
             breach_count: watch.count,
             breach_status: u8::from(watch.breach.is_some()),
-            breach_type: match watch.breach {
-                None => FenceBreach::FENCE_BREACH_NONE,
-                Some(Breach::Height) => FenceBreach::FENCE_BREACH_MAXALT,
-                Some(Breach::Boundary) => FenceBreach::FENCE_BREACH_BOUNDARY,
-            },
+            breach_type: watch.breach.unwrap_or(FenceBreach::FENCE_BREACH_NONE),
             breach_mitigation: FenceMitigate::FENCE_MITIGATE_NONE,
         })
     })

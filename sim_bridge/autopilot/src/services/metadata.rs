@@ -1,7 +1,6 @@
 //! Component metadata: what the parameters and events mean, as JSON that is fetched by file transfer.
 //! <https://mavlink.io/en/services/component_information.html>
 
-use crate::files::FileSystem;
 use crate::saved::exact;
 use crate::service::prelude::*;
 use crate::services::events::definitions;
@@ -18,8 +17,7 @@ pub(crate) struct Metadata;
 
 impl Service for Metadata {
     fn start(&mut self, core: &mut Core) {
-        let now_s = core.unix_time_s();
-        provide(&mut core.files, now_s);
+        provide(core);
     }
 
     fn messages(&self) -> &'static [Produced] {
@@ -70,7 +68,7 @@ fn text(value: &Value) -> Vec<u8> {
 }
 
 /// Puts the metadata among the vehicle's own files.
-fn provide(files: &mut FileSystem, now_s: u64) {
+fn provide(core: &mut Core) {
     let parameters: Vec<Value> = parameter_table().iter().map(described).collect();
     let parameters = text(&json!({ "version": 1, "parameters": parameters }));
     let events = text(&definitions());
@@ -86,6 +84,6 @@ fn provide(files: &mut FileSystem, now_s: u64) {
         ],
     }));
     for (path, content) in [(GENERAL, general), (PARAMETERS, parameters), (EVENTS, events)] {
-        files.provide(path, content, now_s);
+        core.files.provide(path, content, core.unix_time_s());
     }
 }

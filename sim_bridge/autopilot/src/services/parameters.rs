@@ -7,7 +7,7 @@
 //! current: it comes before a list, and set to its own value it ends one.
 
 use crate::service::prelude::*;
-use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
+use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters, parameter_table};
 use vigil_mavlink::crc::crc32_on;
 use vigil_mavlink::mavlink::types::CharArray;
 
@@ -69,21 +69,19 @@ impl Service for ParameterService {
             }
             *next += 1;
         }
-        self.listings.retain(|(_, next)| *next < Parameters::count());
+        self.listings.retain(|(_, next)| *next < parameter_table().len());
     }
 }
 
 /// PARAM_VALUE of the parameter at `index`.
 pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
     let (info, value) = core.parameters.at(index)?;
-    let (param_value, param_type) = value.on_wire();
-    Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
-        param_value,
-        param_count: Parameters::count() as u16,
-        param_index: index as u16,
-        param_id: info.name.into(),
-        param_type,
-    }))
+    Some(message_of(info.name, index as u16, value.on_wire()))
+}
+
+fn message_of(name: &str, param_index: u16, (param_value, param_type): (f32, MavParamType)) -> MavMessage {
+    let (param_id, param_count) = (name.into(), parameter_table().len() as u16);
+    message!(PARAM_VALUE, param_value, param_count, param_index, param_id, param_type)
 }
 
 /// PX4's digest: a CRC over the names and values in the order of the index.
@@ -94,14 +92,9 @@ fn hash(core: &Core) -> u32 {
 }
 
 fn hash_message(core: &Core) -> MavMessage {
-    MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
-        param_value: f32::from_bits(hash(core)),
-        param_count: Parameters::count() as u16,
-        // It has no place among the parameters.
-        param_index: u16::MAX,
-        param_id: HASH_CHECK.into(),
-        param_type: MavParamType::MAV_PARAM_TYPE_UINT32,
-    })
+    let value = (f32::from_bits(hash(core)), MavParamType::MAV_PARAM_TYPE_UINT32);
+    // It has no place among the parameters.
+    message_of(HASH_CHECK, u16::MAX, value)
 }
 
 /// Counts a refusal and answers the sender.
@@ -124,7 +117,7 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
         (Some(index), MavParamType::MAV_PARAM_TYPE_REAL32) => {
             core.parameters.set(index, ParameterValue::Real(m.param_value))
         }
-        (Some(index), _) => Err(ParameterError::WrongType(crate::parameter_table()[index].name)),
+        (Some(index), _) => Err(ParameterError::WrongType(parameter_table()[index].name)),
     };
     let message = index.and_then(|index| value_message(core, index));
     let Err(error) = outcome else {
@@ -201,7 +194,7 @@ pub(super) fn read_packed(path: &str, core: &Core) -> Option<Vec<u8>> {
         value.parse::<usize>().ok()
     };
     let with_defaults = option("withdefaults") == Some(1);
-    let total = Parameters::count();
+    let total = parameter_table().len();
     let start = option("start").unwrap_or(0).min(total);
     let count = option("count").filter(|count| *count > 0).unwrap_or(total);
     let count = count.min(total - start);
@@ -289,7 +282,7 @@ pub(super) fn store_packed(file: &[u8], core: &mut Core) -> Result<(), ()> {
         return Err(());
     }
     let before = std::mem::replace(&mut core.parameters, parameters);
-    for index in 0..Parameters::count() {
+    for index in 0..parameter_table().len() {
         if core.parameters.at(index) != before.at(index)
             && let Some(message) = value_message(core, index)
         {

@@ -8,7 +8,7 @@
 use crate::core::padded;
 use crate::flight::FlightMode;
 use crate::plan::mission::DO_CHANGE_SPEED;
-use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans, has_empty_circle};
+use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans, is_empty_circle};
 use crate::service::prelude::*;
 use MavMissionResult::*;
 
@@ -59,7 +59,7 @@ fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMis
 
 /// Refuses a plan with a reason.
 fn refuse(core: &mut Core, source: Source, kind: PlanKind, result: MavMissionResult, reason: &str) {
-    acknowledge(core, source, kind.wire() as u8, result);
+    acknowledge(core, source, kind as u8, result);
     core.warn_refused(&format!("{} refused: {reason}", kind.name()));
 }
 
@@ -82,7 +82,7 @@ fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>, current: Optio
             }
             core.mission_changed();
         }
-        PlanKind::Fence if has_empty_circle(&core.plans.wire(kind).items) => {
+        PlanKind::Fence if core.plans.wire(kind).items.iter().any(is_empty_circle) => {
             core.warn("geofence: a circle of radius 0 holds nothing");
         }
         PlanKind::Fence | PlanKind::Rally => {}
@@ -160,7 +160,7 @@ impl Upload {
             _ => MISSION_REQUEST_INT_DATA::ID,
         };
         let ([low, high], to) = ((self.items.len() as u16).to_le_bytes(), self.source.id);
-        let payload = [low, high, to.system, to.component, self.kind.wire() as u8];
+        let payload = [low, high, to.system, to.component, self.kind as u8];
         core.outbox.send_payload(self.source.link, id, &payload);
     }
 }
@@ -199,7 +199,7 @@ impl PlanTransfer {
 
     fn take(&mut self, item: PlanItem, envelope: Envelope, source: Source, core: &mut Core) {
         let is_this = |upload: &Upload| {
-            upload.source == source && upload.kind.wire() as u8 == envelope.mission_type && !envelope.is_go_to()
+            upload.source == source && upload.kind as u8 == envelope.mission_type && !envelope.is_go_to()
         };
         let Some(mut upload) = self.upload.take_if(|upload| is_this(upload)) else {
             return self.answer_astray(envelope, source, core);
@@ -237,9 +237,9 @@ impl PlanTransfer {
     fn answer_astray(&self, envelope: Envelope, source: Source, core: &mut Core) {
         let mission_type = envelope.mission_type;
         let is_recent = |ended_ns| core.now_ns.saturating_sub(ended_ns) < 2 * TIMEOUT_NS;
-        let finished = self.finished.filter(|(by, kind, _, ended_ns)| {
-            *by == source && kind.wire() as u8 == mission_type && is_recent(*ended_ns)
-        });
+        let finished = self
+            .finished
+            .filter(|(by, kind, _, ended_ns)| *by == source && *kind as u8 == mission_type && is_recent(*ended_ns));
         let reason = match finished {
             _ if envelope.is_go_to() => "go-to by MISSION_ITEM is not flown, use DO_REPOSITION",
             Some((_, _, count, _)) if envelope.seq.saturating_add(1) == count => {
@@ -256,13 +256,11 @@ impl PlanTransfer {
     }
 
     fn finish(&mut self, upload: Upload, core: &mut Core) {
-        let Upload {
-            source, kind, count, ..
-        } = upload;
+        let (source, kind, count) = (upload.source, upload.kind, upload.count);
         let replaced = replace(core, kind, upload.items, upload.current);
         self.finished = Some((source, kind, if replaced.is_ok() { count } else { 0 }, core.now_ns));
         match replaced {
-            Ok(()) => acknowledge(core, source, kind.wire() as u8, MAV_MISSION_ACCEPTED),
+            Ok(()) => acknowledge(core, source, kind as u8, MAV_MISSION_ACCEPTED),
             Err(defect) => refuse(core, source, kind, defect.result, defect.reason),
         }
     }
@@ -296,9 +294,19 @@ fn tell_count(mission_type: u8, source: Source, core: &mut Core) {
         return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED);
     };
     let wire = core.plans.wire(kind);
-    let (count, mission_type, opaque_id) = (wire.items.len() as u16, kind.wire(), wire.id);
-    let message = message!(MISSION_COUNT, count, mission_type, opaque_id);
-    core.outbox.send_to(source, message);
+    let ([low, high], [a, b, c, d]) = ((wire.items.len() as u16).to_le_bytes(), wire.id.to_le_bytes());
+    let payload = [
+        low,
+        high,
+        source.id.system,
+        source.id.component,
+        mission_type,
+        a,
+        b,
+        c,
+        d,
+    ];
+    core.outbox.send_payload(source.link, MISSION_COUNT_DATA::ID, &payload);
 }
 
 fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mut Core) {

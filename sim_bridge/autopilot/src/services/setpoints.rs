@@ -2,7 +2,7 @@
 //! RC_CHANNELS_OVERRIDE of a script that plays the transmitter. <https://docs.px4.io/main/en/flight_modes/offboard.html>,
 //! <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>, <https://mavlink.io/en/messages/common.html#MANUAL_CONTROL>
 
-use crate::flight::{Deflections, SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
+use crate::flight::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::geo;
 use crate::service::prelude::*;
 use crate::services::{BELOW_HOME_M, MAX_DISTANCE_M};
@@ -33,7 +33,7 @@ impl SetpointService {
             SetpointDefect::Value(_) => core.refusals.setpoint_value += 1,
             _ => core.refusals.setpoint_form += 1,
         }
-        core.setpoints.refuse(core.now_ns, defect);
+        core.setpoints.refused = Some((core.now_ns, defect));
         let is_due = self.refusal.is_none_or(|(at_ns, to, of)| {
             let since_ns = core.now_ns.saturating_sub(at_ns);
             since_ns >= REPEATED_NS || ((to, of) != (source, defect) && since_ns >= SAID_NS)
@@ -41,17 +41,6 @@ impl SetpointService {
         if is_due {
             self.refusal = Some((core.now_ns, source, defect));
             core.warn(&format!("setpoints of {}: {defect}", source.id));
-        }
-    }
-
-    /// A place below home is flown as PX4 flies it, to the ground; it was hardly meant so.
-    fn warn_of_ground(&mut self, command: &ControlCommand, source: Source, core: &mut Core) {
-        let ControlCommand::Position(goal) = command else {
-            return;
-        };
-        let down_m = goal.position_ned_m.z;
-        if down_m > BELOW_HOME_M && self.told_of_ground.takes(core.now_ns, REPEATED_NS, 1) {
-            core.warn(&format!("setpoints of {}: {down_m:.0} m below home", source.id));
         }
     }
 }
@@ -85,13 +74,20 @@ impl Service for SetpointService {
                 ControlCommand::STOP
             }
         };
-        self.warn_of_ground(&command, source, core);
+        // A place below home is flown as PX4 flies it, to the ground; it was hardly meant so.
+        if let ControlCommand::Position(goal) = &command
+            && goal.position_ned_m.z > BELOW_HOME_M
+            && self.told_of_ground.takes(core.now_ns, REPEATED_NS, 1)
+        {
+            let down_m = goal.position_ned_m.z;
+            core.warn(&format!("setpoints of {}: {down_m:.0} m below home", source.id));
+        }
         let Some(is_warned) = core.setpoints.take(core.now_ns, source, command) else {
             return core.regain_offboard(source);
         };
         core.refusals.setpoint_foreign += 1;
         if !is_warned
-            && let Some(owner) = core.setpoints.owner()
+            && let Some(owner) = core.setpoints.owner
             && self.said.takes(core.now_ns, SAID_NS, 1)
         {
             let text = match owner.id == source.id {
@@ -120,13 +116,7 @@ pub(super) fn joystick(m: MANUAL_CONTROL_DATA, source: Source, core: &mut Core) 
     }
     let [forward, right, clockwise] = axes.map(|a| f32::from(a) * 1e-3);
     let up = (f32::from(throttle) - 500.0) / 500.0;
-    let sticks = Deflections {
-        forward,
-        right,
-        up,
-        clockwise,
-    };
-    core.take_sticks(source, sticks);
+    core.take_sticks(source, [forward, right, up, clockwise]);
 }
 
 /// Channels 1 to 4 as transmitters have them: roll, pitch (a higher pulse is the stick pulled back), throttle, yaw. 0 and the
@@ -150,13 +140,7 @@ pub(super) fn channels(m: RC_CHANNELS_OVERRIDE_DATA, source: Source, core: &mut 
         true => 0.0,
         false => ((f32::from(pulse) - CENTRE_US) / TRAVEL_US).clamp(-1.0, 1.0),
     });
-    let sticks = Deflections {
-        forward: -back,
-        right,
-        up,
-        clockwise,
-    };
-    core.take_sticks(source, sticks);
+    core.take_sticks(source, [-back, right, up, clockwise]);
 }
 
 /// Bit of `est_capabilities`: the velocity is given.

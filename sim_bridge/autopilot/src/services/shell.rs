@@ -153,7 +153,7 @@ fn outcome(outcome: Result<(), Denial>) -> String {
 
 fn commander_status(core: &Core) -> String {
     let c = &core.commander;
-    let owner = core.setpoints.owner().map_or("none".to_owned(), |id| id.to_string());
+    let owner = core.setpoints.owner.map_or("none".to_owned(), |id| id.to_string());
     let failsafe = c.failsafe.map_or("none".to_owned(), |f| format!("{f:?}"));
     format!(
         "armed: {}\nmode: {}\nlanded: {:?}\nfailsafe: {failsafe}\nterminated: {}\nsetpoint owner: {owner}\n",

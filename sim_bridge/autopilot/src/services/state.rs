@@ -74,7 +74,7 @@ fn extended_sys_state(core: &Core) -> Option<MavMessage> {
 
 /// "sp_owner": system · 256 + component of the owner of OFFBOARD, 0 for none.
 fn setpoint_owner(core: &Core) -> Option<MavMessage> {
-    let value = core.setpoints.owner().map_or(0.0, |owner| {
+    let value = core.setpoints.owner.map_or(0.0, |owner| {
         f32::from(owner.id.system) * 256.0 + f32::from(owner.id.component)
     });
     Some(MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA {

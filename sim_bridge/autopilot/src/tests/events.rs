@@ -2,13 +2,9 @@
 
 use crate::testing::*;
 
-fn events(b: &Bench, link: LinkId) -> Vec<EVENT_DATA> {
-    b.all::<EVENT_DATA>(link)
-}
-
 /// Number without the component.
 fn ids(b: &Bench) -> Vec<u32> {
-    events(b, API).iter().map(|e| e.id - (1 << 24)).collect()
+    b.all::<EVENT_DATA>(API).iter().map(|e| e.id - (1 << 24)).collect()
 }
 
 fn request(b: &mut Bench, first_sequence: u16, last_sequence: u16) {
@@ -26,7 +22,7 @@ fn a_flight_is_reported_in_order_and_without_gaps() {
     b.run_ms(50);
     // Armed, mode take-off, took off, mode hold, mode land, landed, disarmed, mode hold.
     assert_eq!(ids(&b), [1, 3, 7, 3, 3, 8, 2, 3]);
-    let events = events(&b, GCS);
+    let events = b.all::<EVENT_DATA>(GCS);
     assert!(events.windows(2).all(|w| w[1].sequence == w[0].sequence + 1));
     assert!(events.is_sorted_by_key(|event| event.event_time_boot_ms));
     // The argument of the first mode change: take-off, main 4, sub 2.
@@ -41,7 +37,11 @@ fn a_lost_stream_is_a_critical_event() {
     b.sent.clear();
     b.stop_stream(SCRIPT);
     b.run_ms(1_100);
-    let failsafe = events(&b, API).into_iter().find(|e| e.id == 1 << 24 | 4).expect("sent");
+    let failsafe = b
+        .all::<EVENT_DATA>(API)
+        .into_iter()
+        .find(|e| e.id == 1 << 24 | 4)
+        .expect("sent");
     assert_eq!((failsafe.log_levels, failsafe.arguments[0]), (0x22, 1));
 }
 
@@ -54,12 +54,12 @@ fn lost_events_are_sent_again_and_too_old_ones_named() {
         assert_eq!(b.disarm(0.0), ACCEPTED);
         b.run_ms(30);
     }
-    let all = events(&b, API);
+    let all = b.all::<EVENT_DATA>(API);
     let last = all.last().expect("many").clone();
     request(&mut b, last.sequence - 1, last.sequence);
-    let again = events(&b, API);
+    let again = b.all::<EVENT_DATA>(API);
     assert_eq!(again, all[all.len() - 2..]);
-    assert!(events(&b, GCS).is_empty(), "only the asker gets them");
+    assert!(b.all::<EVENT_DATA>(GCS).is_empty(), "only the asker gets them");
     // What is kept no longer, and what has not happened yet.
     for sequence in [1, last.sequence + 1] {
         request(&mut b, sequence, sequence);
@@ -81,7 +81,7 @@ fn the_last_sequence_is_reported_with_a_reset_at_the_start_only() {
     assert!(sequences.len() >= 3);
     assert_eq!(sequences[0].1, 1);
     assert!(sequences[1..].iter().all(|(_, flags)| *flags == 0));
-    let last = events(&b, API).last().expect("the checks were sent").sequence;
+    let last = b.all::<EVENT_DATA>(API).last().expect("the checks were sent").sequence;
     assert_eq!(sequences.last().map(|t| t.0), Some(last));
 }
 
@@ -97,7 +97,7 @@ fn checks_are_run_on_request_and_name_what_fails() {
     b.run_ms(50);
     b.sent.clear();
     assert_eq!(b.ask(401, &[]), ACCEPTED);
-    let sent = events(&b, API);
+    let sent = b.all::<EVENT_DATA>(API);
     assert_eq!(ids(&b), [100, 101, 200]);
     // Chunk, error bits, warning bits, groups that can arm: none.
     assert_eq!(sent[0].arguments[..13], [0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);

@@ -7,11 +7,11 @@ use crate::testing::*;
 fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {
     let mut b = Bench::with(EndpointConfig::default());
     assert_eq!(b.command, ControlCommand::MotorsOff);
-    assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_STANDBY);
+    assert_eq!(b.last::<HEARTBEAT_DATA>(API).system_status, MavState::MAV_STATE_STANDBY);
     b.take_off();
     b.run_ms(2000);
     assert!((b.height_m() - 2.5).abs() < 0.2, "{}", b.height_m());
-    let base_mode = b.heartbeat(GCS).base_mode;
+    let base_mode = b.last::<HEARTBEAT_DATA>(GCS).base_mode;
     assert!(base_mode.contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED));
     assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
     b.run_ms(500);
@@ -73,7 +73,7 @@ fn termination_stops_the_motors_until_a_reboot() {
     assert_eq!(b.ask(185, &[1.0]), ACCEPTED);
     b.run_ms(1);
     assert_eq!(b.command, ControlCommand::MotorsOff);
-    let heartbeat = b.heartbeat(API);
+    let heartbeat = b.last::<HEARTBEAT_DATA>(API);
     assert_eq!(heartbeat.system_status, MavState::MAV_STATE_FLIGHT_TERMINATION);
     assert_eq!(heartbeat.custom_mode, 10 << 16);
     b.run_ms(5_000);

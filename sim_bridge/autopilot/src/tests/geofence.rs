@@ -40,7 +40,10 @@ fn leaving_a_polygon_holds_by_default() {
     assert_eq!(b.status().failsafe, Some(Failsafe::GeofenceBreached));
     assert_eq!(b.status().mode, FlightMode::Hold);
     b.assert_said("geofence breached: hold");
-    assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_CRITICAL);
+    assert_eq!(
+        b.last::<HEARTBEAT_DATA>(API).system_status,
+        MavState::MAV_STATE_CRITICAL
+    );
     b.run_ms(5_000);
     assert!(b.position_m()[0] < 10.5, "{:?}", b.position_m());
     let status = fence_status(&b).expect("sent");

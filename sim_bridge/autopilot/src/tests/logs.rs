@@ -14,10 +14,6 @@ fn request_data(b: &mut Bench, id: u16, ofs: u32, count: u32) {
     b.tell(message!(LOG_REQUEST_DATA, ofs, count, id));
 }
 
-fn data(b: &Bench) -> Vec<LOG_DATA_DATA> {
-    b.all::<LOG_DATA_DATA>(API)
-}
-
 fn fly(b: &mut Bench) {
     b.take_off();
     b.run_ms(2_000);
@@ -34,7 +30,10 @@ fn a_client_gets_the_piece_it_asks_for_and_can_stop() {
     let size = list(&mut b)[0].size;
     request_data(&mut b, 0, 0, size);
     b.run_ms(2_000);
-    let pieces = data(&b).into_iter().map(|d| d.data[..usize::from(d.count)].to_vec());
+    let pieces = b
+        .all::<LOG_DATA_DATA>(API)
+        .into_iter()
+        .map(|d| d.data[..usize::from(d.count)].to_vec());
     let log = pieces.collect::<Vec<_>>().concat();
     assert_eq!(log.len(), size as usize);
     // Also those of one step, and those that it ends with.
@@ -45,21 +44,21 @@ fn a_client_gets_the_piece_it_asks_for_and_can_stop() {
     }
     request_data(&mut b, 0, 180, 100);
     b.run_ms(20);
-    let sizes: Vec<_> = data(&b).iter().map(|d| (d.ofs, d.count)).collect();
+    let sizes: Vec<_> = b.all::<LOG_DATA_DATA>(API).iter().map(|d| (d.ofs, d.count)).collect();
     assert_eq!(sizes, [(180, 90), (270, 10)]);
     // Behind the end, and of a log that is not there: an empty piece.
     for (id, ofs) in [(0, size), (0, u32::MAX), (7, 0), (u16::MAX, 5)] {
         request_data(&mut b, id, ofs, 90);
         b.run_ms(20);
-        let got = data(&b);
+        let got = b.all::<LOG_DATA_DATA>(API);
         assert_eq!((got.len(), got[0].id, got[0].count), (1, id, 0));
     }
     request_data(&mut b, 0, 0, size);
     b.run_ms(5);
     b.tell(message!(LOG_REQUEST_END));
-    let before = data(&b).len();
+    let before = b.all::<LOG_DATA_DATA>(API).len();
     b.run_ms(100);
-    assert_eq!(data(&b).len(), before);
+    assert_eq!(b.all::<LOG_DATA_DATA>(API).len(), before);
 }
 
 #[test]

@@ -2,10 +2,6 @@
 
 use crate::testing::*;
 
-fn attitude(mask: u8, yaw_rate: f32, thrust: f32) -> MavMessage {
-    attitude_setpoint(mask, 0.0, yaw_rate, thrust)
-}
-
 /// Streams a setpoint at 20 Hz, entering OFFBOARD with the first.
 fn fly(b: &mut Bench, message: &MavMessage, ms: u64) {
     for _ in 0..ms / 50 {
@@ -153,8 +149,8 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
         (global(MAV_FRAME_LOCAL_NED), "frame 1 is not flown"),
         (global(MAV_FRAME_GLOBAL_TERRAIN_ALT), "frame 10 is not flown"),
         (actuators, "actuators are not flown"),
-        (attitude(0x47, 0.0, 0.5), "mask 0x047 is not flown"),
-        (attitude(0x07, 0.0, 1.5), "thrust is NaN or absurd"),
+        (attitude_setpoint(0x47, 0.0, 0.0, 0.5), "mask 0x047 is not flown"),
+        (attitude_setpoint(0x07, 0.0, 0.0, 1.5), "thrust is NaN or absurd"),
     ] {
         let texts = refused(&message);
         let refusal = format!("setpoints of 245/190: {reason}");

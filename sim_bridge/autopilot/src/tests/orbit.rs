@@ -23,7 +23,7 @@ fn it_circles_either_way_with_the_nose_at_the_centre() {
         let mut b = Bench::airborne();
         assert_eq!(orbit(&mut b, radius, speed, facing, 0.0), ACCEPTED);
         assert_eq!(b.status().mode, FlightMode::Orbit);
-        assert_eq!(b.heartbeat(API).custom_mode, 0x0103_0000);
+        assert_eq!(b.last::<HEARTBEAT_DATA>(API).custom_mode, 0x0103_0000);
         b.run_ms(15_000);
         let mut turned = 0.0;
         let (_, mut last) = off_centre(&b);

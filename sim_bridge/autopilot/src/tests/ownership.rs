@@ -147,7 +147,7 @@ fn a_lost_stream_means_hold_within_half_a_second_until_it_comes_again() {
     let lost = (FlightMode::Hold, Some(Failsafe::SetpointLost));
     assert_eq!((status.mode, status.failsafe), lost);
     b.assert_said("setpoint lost: hold");
-    let heartbeat = b.heartbeat(ONBOARD);
+    let heartbeat = b.last::<HEARTBEAT_DATA>(ONBOARD);
     assert_eq!(heartbeat.system_status, MavState::MAV_STATE_CRITICAL);
     assert_eq!(heartbeat.custom_mode, FlightMode::Hold.custom_mode());
     b.run_ms(3_000);
@@ -158,7 +158,10 @@ fn a_lost_stream_means_hold_within_half_a_second_until_it_comes_again() {
     let status = b.status();
     assert_eq!((status.mode, status.failsafe), (FlightMode::Offboard, None));
     assert_eq!(status.setpoint_owner, Some(COMPANION));
-    assert_eq!(b.heartbeat(ONBOARD).system_status, MavState::MAV_STATE_ACTIVE);
+    assert_eq!(
+        b.last::<HEARTBEAT_DATA>(ONBOARD).system_status,
+        MavState::MAV_STATE_ACTIVE
+    );
     // Not after a mode command.
     b.stop_stream(COMPANION);
     b.run_ms(500);

@@ -107,8 +107,10 @@ impl Bench {
     pub fn download(&mut self, kind: u8) -> Vec<MISSION_ITEM_INT_DATA> {
         self.sent.clear();
         self.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_LIST_DATA::ID, &[1, 1, kind]));
-        let count = self.first::<MISSION_COUNT_DATA>(API).map(|c| c.count).expect("a count");
-        for seq in 0..count {
+        let answer = self.first::<MISSION_COUNT_DATA>(API).expect("a count");
+        let to = (answer.target_system, answer.target_component, answer.mission_type as u8);
+        assert_eq!(to, (SCRIPT.system, SCRIPT.component, kind));
+        for seq in 0..answer.count {
             let [low, high] = seq.to_le_bytes();
             let request = raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[low, high, 1, 1, kind]);
             self.send_raw(API, &request);

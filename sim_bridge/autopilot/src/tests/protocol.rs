@@ -118,9 +118,12 @@ fn a_base_mode_is_flown_as_by_px4_and_reported_by_the_sticks_that_it_needs() {
     ];
     for (base, mode, reported) in modes {
         assert_eq!(b.ask(176, &[f32::from(base)]), ACCEPTED);
-        assert_eq!((b.status().mode, b.heartbeat(API).base_mode.bits()), (mode, reported));
+        assert_eq!(
+            (b.status().mode, b.last::<HEARTBEAT_DATA>(API).base_mode.bits()),
+            (mode, reported)
+        );
         assert_eq!(b.set_mode(API, SCRIPT, 5, 0), ACCEPTED);
-        assert_eq!(b.heartbeat(API).base_mode.bits(), 65, "acro");
+        assert_eq!(b.last::<HEARTBEAT_DATA>(API).base_mode.bits(), 65, "acro");
         assert_eq!(b.set_mode_message(base, 0, 0), ACCEPTED);
         assert_eq!(b.status().mode, mode);
     }
@@ -186,16 +189,12 @@ fn pings_and_time_requests_are_answered_to_their_sender() {
     assert_eq!(b.count(API, TIMESYNC_DATA::ID), 0);
 }
 
-fn values(b: &Bench, link: LinkId) -> Vec<PARAM_VALUE_DATA> {
-    b.all(link)
-}
-
 #[test]
 fn the_parameter_list_is_complete_typed_and_paced() {
     let mut b = Bench::new();
-    b.request_parameters();
+    b.tell(message!(PARAM_REQUEST_LIST));
     b.run_ms(2_000);
-    let mut listed = values(&b, API);
+    let mut listed = b.all::<PARAM_VALUE_DATA>(API);
     assert_eq!(listed.remove(0).param_id.to_str(), Ok("_HASH_CHECK"));
     assert_eq!(listed.len(), parameter_table().len());
     for (i, (value, info)) in listed.iter().zip(parameter_table()).enumerate() {
@@ -203,7 +202,7 @@ fn the_parameter_list_is_complete_typed_and_paced() {
         let place = (usize::from(value.param_index), usize::from(value.param_count));
         assert_eq!(place, (i, listed.len()));
     }
-    assert!(values(&b, GCS).is_empty());
+    assert!(b.all::<PARAM_VALUE_DATA>(GCS).is_empty());
     let is_value = |s: &&Sent| matches!(s.message, Some(MavMessage::PARAM_VALUE(_)));
     let times: Vec<_> = b.sent.iter().filter(is_value).map(|s| s.at_ns).collect();
     // The digest comes at once.
@@ -216,14 +215,14 @@ fn parameters_are_read_by_name_and_index_and_integers_travel_bytewise() {
     b.read_parameter("COM_OBL_RC_ACT", -1);
     let index = parameter_table().iter().position(|p| p.name == "MIS_TAKEOFF_ALT");
     b.read_parameter("", index.expect("known") as i16);
-    let got = values(&b, API);
+    let got = b.all::<PARAM_VALUE_DATA>(API);
     assert_eq!(got[0].param_type, MavParamType::MAV_PARAM_TYPE_INT32);
     assert_eq!(got[0].param_value.to_bits(), 5);
     assert_eq!(got[1].param_id.to_str(), Ok("MIS_TAKEOFF_ALT"));
     assert_eq!(got[1].param_value, 2.5);
     b.read_parameter("NO_SUCH", -1);
     b.read_parameter("", 999);
-    assert_eq!(values(&b, API).len(), 2);
+    assert_eq!(b.all::<PARAM_VALUE_DATA>(API).len(), 2);
     assert_eq!(b.status().refusals.parameter, 2);
 }
 
@@ -231,8 +230,8 @@ fn parameters_are_read_by_name_and_index_and_integers_travel_bytewise() {
 fn a_set_parameter_acts_and_everybody_hears_of_it() {
     let mut b = Bench::new();
     b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real(10.0));
-    assert_eq!(values(&b, API)[0].param_value, 10.0);
-    assert_eq!(values(&b, GCS)[0].param_value, 10.0);
+    assert_eq!(b.all::<PARAM_VALUE_DATA>(API)[0].param_value, 10.0);
+    assert_eq!(b.all::<PARAM_VALUE_DATA>(GCS)[0].param_value, 10.0);
     b.take_off();
     // PX4's own flight test: the height is kept for a minute.
     let down_m = |b: &Bench| b.view().estimate.position_ned_m.z;
@@ -269,13 +268,13 @@ fn a_bad_parameter_set_changes_nothing_and_says_why() {
     let errors = b.all::<PARAM_ERROR_DATA>(API).into_iter();
     let answers: Vec<_> = errors.map(|e| (e.target_system, e.error)).collect();
     assert_eq!(answers, bad.map(|(.., error)| (SCRIPT.system, error)));
-    for value in values(&b, API) {
+    for value in b.all::<PARAM_VALUE_DATA>(API) {
         let unchanged = value.param_value == 2.5 || [5, 4001].contains(&value.param_value.to_bits());
         assert!(unchanged, "{value:?}");
     }
     b.assert_said("is not within 0.5 to 80");
     b.assert_said("SYS_AUTOSTART cannot be set");
-    assert!(values(&b, GCS).is_empty());
+    assert!(b.all::<PARAM_VALUE_DATA>(GCS).is_empty());
     // Each of a flood is answered to its sender; the texts, which go to all, are few, and come again for the next mistake.
     b.run_ms(1_000);
     for (sets, texts) in [(100, 4), (1, 1)] {
@@ -330,7 +329,7 @@ fn vibration_is_felt_in_flight_and_not_on_the_ground() {
 #[test]
 fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
     let mut b = Bench::new();
-    b.send_heartbeat(ONBOARD, COMPANION);
+    b.send(ONBOARD, COMPANION, &message!(HEARTBEAT));
     let setup = |system, component, byte| {
         message!(
             SETUP_SIGNING,

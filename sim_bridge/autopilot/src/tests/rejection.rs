@@ -118,7 +118,7 @@ proptest! {
                 payload[4] = payload[4] & 1 | 1;
             }
             b.sent.clear();
-            b.send_raw(API, &raw(id, &payload[..(len + more).min(100)]));
+            b.send_raw(API, &raw(SCRIPT, id, &payload[..(len + more).min(100)]));
             b.run_ms(20);
             // A shell line may answer in several packets; nothing answers without bound.
             prop_assert!(b.sent.len() < 200, "{}", b.sent.len());
@@ -145,10 +145,6 @@ const EXTREME_INTEGERS: [i32; 6] = [i32::MIN, i32::MAX, -1, 1, 900_000_001, -1_8
 const FRAMES: [u8; 25] = [
     0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 99, 255,
 ];
-
-fn raw(id: u32, payload: &[u8]) -> Vec<u8> {
-    crate::testing::raw(SCRIPT, id, payload)
-}
 
 /// The commands of the dialect, and one number that it does not have.
 fn commands() -> impl Iterator<Item = u16> {
@@ -248,9 +244,9 @@ fn every_message_of_the_dialect_is_survived_with_extremes_in_every_field() {
                 let mut payload = [0; 64];
                 payload[at..at + 4].copy_from_slice(pattern);
                 b.sent.clear();
-                b.send_raw(API, &raw(id, &payload));
+                b.send_raw(API, &raw(SCRIPT, id, &payload));
             }
-            b.survives(&raw(id, &pattern.repeat(16)), &(id, pattern));
+            b.survives(&raw(SCRIPT, id, &pattern.repeat(16)), &(id, pattern));
         }
         b.run_ms(100);
     }
@@ -272,7 +268,7 @@ fn every_setpoint_of_every_frame_and_mask_with_extremes_is_flown_or_refused_with
             payload.extend_from_slice(&mask.to_le_bytes());
             payload.extend_from_slice(&[1, 1, frame]);
             let before = b.status().refusals;
-            b.survives(&raw(id, &payload), &(id, frame, mask, extreme));
+            b.survives(&raw(SCRIPT, id, &payload), &(id, frame, mask, extreme));
             let after = b.status().refusals;
             let refused = after.setpoint_form + after.setpoint_value - before.setpoint_form - before.setpoint_value;
             assert!(refused <= 1);

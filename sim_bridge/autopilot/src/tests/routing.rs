@@ -16,7 +16,7 @@ fn command_to(target_system: u8, target_component: u8, command: MavCmd) -> MavMe
 #[test]
 fn a_script_sees_the_companions_heartbeat_texts_and_values() {
     let mut b = Bench::new();
-    b.send_heartbeat(ONBOARD, COMPANION);
+    b.send(ONBOARD, COMPANION, &message!(HEARTBEAT));
     let value = message!(NAMED_VALUE_FLOAT, name = "gd_state".into(), value = 3.0);
     b.send(ONBOARD, COMPANION, &value);
     for link in [API, GCS] {
@@ -31,7 +31,7 @@ fn a_script_sees_the_companions_heartbeat_texts_and_values() {
 #[test]
 fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
     let mut b = Bench::new();
-    b.send_heartbeat(ONBOARD, COMPANION);
+    b.send(ONBOARD, COMPANION, &message!(HEARTBEAT));
     b.sent.clear();
     let command = command_to(1, 191, MavCmd::MAV_CMD_NAV_GUIDED_ENABLE);
     b.send(API, SCRIPT, &command);
@@ -80,7 +80,7 @@ fn an_unknown_message_is_passed_on_byte_for_byte() {
 #[test]
 fn a_packet_that_claims_to_be_the_vehicle_is_dropped() {
     let mut b = Bench::new();
-    b.send_heartbeat(API, VEHICLE);
+    b.send(API, VEHICLE, &message!(HEARTBEAT));
     assert_eq!(b.status().refusals.own_identity, 1);
     assert!(b.sent.is_empty());
 }
@@ -101,10 +101,10 @@ fn a_flood_on_one_link_does_not_become_one_on_the_others() {
     let mut b = Bench::new();
     // 20 000 broadcasts a second by a station, and twenty by the companion.
     for _ in 0..1000 {
-        (0..20).for_each(|_| b.send_heartbeat(GCS, STATION));
+        (0..20).for_each(|_| b.send(GCS, STATION, &message!(HEARTBEAT)));
         b.run_ms(1);
         if b.now_ns.is_multiple_of(50_000_000) {
-            b.send_heartbeat(ONBOARD, COMPANION);
+            b.send(ONBOARD, COMPANION, &message!(HEARTBEAT));
         }
     }
     let from = |link, id| forwarded(&b, link).iter().filter(|(from, _)| *from == id).count();

@@ -34,10 +34,6 @@ fn attitude(pitch_deg: f32, thrust: f32) -> MavMessage {
     attitude_setpoint(0x07, pitch_deg, 0.0, thrust)
 }
 
-fn stream(b: &mut Bench, message: &MavMessage, ms: u64) {
-    b.hold(API, SCRIPT, message, ms);
-}
-
 fn gps_altitude_m(b: &Bench) -> f32 {
     b.last::<GPS_RAW_INT_DATA>(API).alt_ellipsoid as f32 * 1e-3
 }
@@ -48,21 +44,21 @@ fn a_flight_by_attitude_climbs_by_gps_flies_forward_falls_and_disarms() {
     b.run_ms(1_500);
     let start_m = gps_altitude_m(&b);
     assert!(start_m > 0.0);
-    stream(&mut b, &attitude(0.0, 0.0), 100);
+    b.hold(API, SCRIPT, &attitude(0.0, 0.0), 100);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
     for _ in 0..200 {
-        stream(&mut b, &attitude(0.0, 0.8), 50);
+        b.hold(API, SCRIPT, &attitude(0.0, 0.8), 50);
         if gps_altitude_m(&b) - start_m >= 10.0 {
             break;
         }
     }
-    stream(&mut b, &attitude(-20.0, 0.8), 3_000);
+    b.hold(API, SCRIPT, &attitude(-20.0, 0.8), 3_000);
     let pitch_deg = b.view().estimate.attitude.pitch_rad().to_degrees();
     assert!((pitch_deg + 20.0).abs() < 5.0, "{pitch_deg}");
-    stream(&mut b, &attitude(0.0, 0.4), 6_000);
+    b.hold(API, SCRIPT, &attitude(0.0, 0.4), 6_000);
     for _ in 0..2_400 {
-        stream(&mut b, &attitude(0.0, 0.0), 50);
+        b.hold(API, SCRIPT, &attitude(0.0, 0.0), 50);
         if !b.status().armed {
             break;
         }

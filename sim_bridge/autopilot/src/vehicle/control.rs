@@ -56,7 +56,7 @@ struct Reference {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Controller {
     params: ControlParams,
-    inertia: Inertia,
+    pub(crate) inertia: Inertia,
     mass_kg: f64,
     tilt_max_tan: f64,
     horizontal: Limits,

@@ -1,7 +1,7 @@
 //! Vectors and rotations in f64, with libm's functions so that the bits match across machines.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use vigil_types::{Attitude, Frame, FrdVector, NedVector, Vector};
+use vigil_types::{Attitude, Frame, Vector};
 
 pub(crate) type Vec3 = Vector3<f64>;
 pub(crate) type Rotation = UnitQuaternion<f64>;
@@ -47,12 +47,9 @@ pub(crate) fn wrap(angle_rad: f64) -> f64 {
     }
 }
 
-pub(crate) fn ned(v: &Vec3) -> NedVector {
-    NedVector::new(v.x as f32, v.y as f32, v.z as f32)
-}
-
-pub(crate) fn frd(v: &Vec3) -> FrdVector {
-    FrdVector::new(v.x as f32, v.y as f32, v.z as f32)
+/// In single precision.
+pub(crate) fn single<F: Frame>(v: &Vec3) -> Vector<F> {
+    Vector::new(v.x as f32, v.y as f32, v.z as f32)
 }
 
 pub(crate) fn attitude(q: &Rotation) -> Attitude {

@@ -4,7 +4,7 @@ use crate::vehicle::body::{Body, Inertia};
 use crate::vehicle::control::{Controller, Stage};
 use crate::vehicle::ground::Ground;
 use crate::vehicle::interface::{ControlCommand, Motion, Truth, VehicleView};
-use crate::vehicle::math::{StateBytes, Vec3, attitude, frd, heading, ned, vec3};
+use crate::vehicle::math::{StateBytes, Vec3, attitude, heading, single, vec3};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{GRAVITY_M_S2, VehicleParams, Wind};
 use crate::vehicle::rotors::Rotors;
@@ -31,7 +31,6 @@ const FLYING_AFTER: u32 = 20;
 #[derive(Debug, Clone)]
 pub struct Vehicle {
     params: VehicleParams,
-    inertia: Inertia,
     steps: u64,
     body: Body,
     acceleration_ned_m_s2: Vec3,
@@ -63,7 +62,6 @@ impl Vehicle {
         let gust = Vec3::new(wind.gust_m_s, wind.gust_m_s, 0.5 * wind.gust_m_s);
         let mut vehicle = Self {
             params,
-            inertia,
             steps: 0,
             body: Body::at_rest(Vec3::zeros(), heading(0.0)),
             acceleration_ned_m_s2: Vec3::zeros(),
@@ -84,11 +82,7 @@ impl Vehicle {
     }
 
     /// Height of the centre of mass above the ground when standing, metres.
-    pub fn standing_height_m(&self) -> f32 {
-        self.standing() as f32
-    }
-
-    fn standing(&self) -> f64 {
+    pub fn standing_height_m(&self) -> f64 {
         let weight_n = self.params.airframe.mass_kg * GRAVITY_M_S2;
         self.ground.standing_height_m(&self.params.airframe, weight_n)
     }
@@ -99,7 +93,7 @@ impl Vehicle {
     /// from their stationary distribution); never below the standing height. Otherwise standing on the ground with
     /// motors off; `position_ned_m.z` is not used then.
     pub fn place(&mut self, position_ned_m: NedVector, yaw_rad: f32, airborne: bool) {
-        let (mut position, stand) = (vec3(position_ned_m), -self.standing());
+        let (mut position, stand) = (vec3(position_ned_m), -self.standing_height_m());
         position.z = if airborne { position.z.min(stand) } else { stand };
         self.body = Body::at_rest(position, heading(f64::from(yaw_rad)));
         self.ground.release();
@@ -159,7 +153,7 @@ impl Vehicle {
         force.z += weight_n;
         self.acceleration_ned_m_s2 = force / self.params.airframe.mass_kg;
         self.body
-            .advance(&self.acceleration_ned_m_s2, &torque, &self.inertia, STEP_S);
+            .advance(&self.acceleration_ned_m_s2, &torque, &self.controller.inertia, STEP_S);
         self.steps += 1;
     }
 
@@ -214,10 +208,10 @@ impl Vehicle {
     fn motion(&self, body: &Body) -> Motion {
         Motion {
             at_ns: self.now_ns(),
-            position_ned_m: ned(&body.position_ned_m),
-            velocity_ned_m_s: ned(&body.velocity_ned_m_s),
+            position_ned_m: single(&body.position_ned_m),
+            velocity_ned_m_s: single(&body.velocity_ned_m_s),
             attitude: attitude(&body.attitude),
-            rates_frd_rad_s: frd(&body.rates_frd_rad_s),
+            rates_frd_rad_s: single(&body.rates_frd_rad_s),
         }
     }
 
@@ -269,7 +263,8 @@ mod tests {
             vehicle.body.rates_frd_rad_s = rates;
             let mass_kg = vehicle.params.airframe.mass_kg;
             let energy = |b: &Body| mass_kg * (0.5 * b.velocity_ned_m_s.norm_squared() - GRAVITY_M_S2 * b.position_ned_m.z);
-            let momentum = |b: &Body| b.attitude * vehicle.inertia.moments_kg_m2.component_mul(&b.rates_frd_rad_s);
+            let moments_kg_m2 = vehicle.controller.inertia.moments_kg_m2;
+            let momentum = |b: &Body| b.attitude * moments_kg_m2.component_mul(&b.rates_frd_rad_s);
             let momentum_0 = momentum(&vehicle.body);
             let first = energy(&vehicle.body);
             let mut before = first;

@@ -2,7 +2,7 @@
 
 use crate::vehicle::body::Body;
 use crate::vehicle::interface::Sensors;
-use crate::vehicle::math::{Rotation, StateBytes, Vec3, frd, heading, ned, small_rotation};
+use crate::vehicle::math::{Rotation, StateBytes, Vec3, heading, single, small_rotation};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{BatteryParams, SensorParams};
 use crate::vehicle::rotors::Rotors;
@@ -139,10 +139,10 @@ impl Errors {
         rotors: &Rotors,
     ) -> Sensors {
         Sensors {
-            accelerometer_frd_m_s2: frd(&(specific_force_frd + self.accelerometer)),
-            gyroscope_frd_rad_s: frd(&self.rates_frd_rad_s(body)),
-            gps_position_ned_m: ned(&self.gps_position_m),
-            gps_velocity_ned_m_s: ned(&self.gps_velocity_m_s),
+            accelerometer_frd_m_s2: single(&(specific_force_frd + self.accelerometer)),
+            gyroscope_frd_rad_s: single(&self.rates_frd_rad_s(body)),
+            gps_position_ned_m: single(&self.gps_position_m),
+            gps_velocity_ned_m_s: single(&self.gps_velocity_m_s),
             barometer_height_m: self.barometer_height_m as f32,
             battery_voltage_v: battery.voltage_v as f32,
             battery_current_a: battery.current_a as f32,

@@ -44,7 +44,6 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
     }
     y += tall + 36.0;
     let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m());
-    let checkpoint = !course.checkpoints.is_empty();
     let is_flown_under = course.overhangs.iter().any(|o| flown_under(course, &o.solid()));
     let entries: [(&str, Rgb888, f32, bool); 7] = [
         ("mesh, at flight height", MESH, 1.0, !course.meshes.is_empty()),
@@ -53,7 +52,7 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
         ("flown under", OVERHANG, 0.25, is_flown_under),
         ("moving, speed m/s", MOVER, 1.0, !course.movers.is_empty()),
         (&format!("corridor, {width:.1} m"), CORRIDOR, 0.4, true),
-        ("checkpoint", START, 1.0, checkpoint),
+        ("checkpoint", START, 1.0, !course.checkpoints.is_empty()),
     ];
     for (words, colour, opacity, _) in entries.iter().filter(|e| e.3) {
         canvas.layer(*opacity, |layer| {

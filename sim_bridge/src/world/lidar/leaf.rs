@@ -228,36 +228,28 @@ pub(crate) enum Leaf {
 impl Leaf {
     /// The leaf of a solid as seen from a sensor position.
     pub(crate) fn of(solid: &Solid, sensor_ned_m: NedVector) -> Self {
-        let [x, y, z] = (solid.centre_ned_m() - sensor_ned_m).to_array();
-        match *solid {
-            Solid::Cuboid {
-                half_extents_m,
-                yaw_rad,
-                ..
-            } => {
-                let (sin_yaw, cos_yaw) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
-                let centre_m = [cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z];
-                let beside_m = [0, 1].map(|k| greater(centre_m[k].abs() - half_extents_m[k], 0.0));
-                Self::Cuboid(CuboidLeaf {
-                    centre_m,
-                    half_m: half_extents_m,
-                    sin_yaw,
-                    cos_yaw,
-                    nearest_m: nearest_m(libm::hypotf(beside_m[0], beside_m[1])),
-                })
-            }
-            Solid::Cylinder {
-                radius_m,
-                half_height_m,
-                ..
-            } => Self::Cylinder(CylinderLeaf {
+        let (centre_ned_m, half_m, yaw_rad) = solid.parts();
+        let [x, y, z] = (centre_ned_m - sensor_ned_m).to_array();
+        let Some(yaw_rad) = yaw_rad else {
+            let [radius_m, _, half_height_m] = half_m;
+            return Self::Cylinder(CylinderLeaf {
                 centre_m: [x, y, z],
                 radius2_m2: radius_m * radius_m,
                 half_height_m,
                 radius_m,
                 nearest_m: nearest_m(libm::hypotf(x, y) - radius_m),
-            }),
-        }
+            });
+        };
+        let (sin_yaw, cos_yaw) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
+        let centre_m = [cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z];
+        let beside_m = [0, 1].map(|k| greater(centre_m[k].abs() - half_m[k], 0.0));
+        Self::Cuboid(CuboidLeaf {
+            centre_m,
+            half_m,
+            sin_yaw,
+            cos_yaw,
+            nearest_m: nearest_m(libm::hypotf(beside_m[0], beside_m[1])),
+        })
     }
 
     /// What no range of it is shorter than, metres.

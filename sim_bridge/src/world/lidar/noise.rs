@@ -103,10 +103,6 @@ mod tests {
             .collect()
     }
 
-    fn correlation(a: &[f64], b: &[f64]) -> f64 {
-        a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>() / a.len() as f64
-    }
-
     #[test]
     fn noise_is_standard_normal_in_its_first_moments() {
         let mut all = Vec::new();
@@ -134,7 +130,7 @@ mod tests {
             ([&a[1..], &a[..1]].concat(), "next beam"),
             ([&a[256..], &a[..256]].concat(), "next ring"),
         ] {
-            let c = correlation(&a, &other);
+            let c = a.iter().zip(&other).map(|(x, y)| x * y).sum::<f64>() / a.len() as f64;
             assert!(c.abs() < limit, "{what}: {c}");
         }
     }

@@ -93,6 +93,7 @@ fn point(axes: &[[f32; LANES]; 3], lane: usize) -> [f32; 3] {
 }
 
 /// For each of 16 things, the first ring and firing that may meet it, the ring and firing after the last, and what no range is shorter than.
+#[derive(Default)]
 struct Between {
     rings: [[u32; LANES]; 2],
     firings: [[u32; LANES]; 2],
@@ -201,7 +202,7 @@ impl Looks {
 
     #[inline(always)]
     fn boxes(&self, axes: &Axes, sensor: [f32; 3], boxes: &Boxes) -> Between {
-        let mut between = Between::NOTHING;
+        let mut between = Between::default();
         let sizes = axes.map(|axis| axis.map(f32::abs));
         for lane in 0..LANES {
             let (centre, half) = (minus(point(&boxes.centre_m, lane), sensor), point(&boxes.half_m, lane));
@@ -222,7 +223,7 @@ impl Looks {
 
     #[inline(always)]
     fn block(&self, axes: &Axes, sensor: [f32; 3], block: &Block) -> Between {
-        let mut between = Between::NOTHING;
+        let mut between = Between::default();
         for lane in 0..LANES {
             let along = |corner: usize| {
                 let corner = minus(point(&block.corners[corner], lane), sensor);
@@ -285,12 +286,6 @@ impl Looks {
 }
 
 impl Between {
-    const NOTHING: Self = Self {
-        rings: [[0; LANES]; 2],
-        firings: [[0; LANES]; 2],
-        nearest_m: [0.0; LANES],
-    };
-
     /// Bit by bit, which of the first `count` may be met by a beam.
     #[inline(always)]
     fn met(&self, count: usize) -> u32 {

@@ -4,8 +4,8 @@ use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::cli::detector::Stage;
 use crate::cli::output::{self, Interrupt, Progress, say};
 use crate::detector_training::{
-    BLOCK, LstmConfig, Record, Recorded, Scenario, WEAK_YAW, count, counts_of, fly, from_bytes, load_flights,
-    save_flights, to_bytes,
+    BLOCK, LstmConfig, Record, Recorded, Scenario, WEAK_YAW, counts_of, fly, from_bytes, load_flights, save_flights,
+    to_bytes,
 };
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
@@ -13,15 +13,13 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use rayon::ThreadPool;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_types::named;
 
 /// What lines call this command.
 pub const COMMAND: &str = "detector collect";
 /// The only arm.
 const ARM: &str = "flights";
-/// First seeds of the flights to learn from, without an end, and below them of those that choose; on training courses.
-const LEARN_SEED: u64 = 3000;
-const CHOOSE_SEED: u64 = 1500;
+/// The flights to learn from, without an end, and below them those that choose: first seeds, on training courses.
+const SETS: [(&str, u64); 2] = [("learn", 3000), ("choose", 1500)];
 /// Flights without one attacked window after which none is expected any more.
 const FLIGHTS_IN_VAIN: usize = 240;
 
@@ -34,8 +32,8 @@ pub struct CollectArgs {
 
     /// Fly only some flights of this set and leave them in the folder as learn.jsonl or choose.jsonl, for another machine
     /// (docs/cluster.md).
-    #[arg(long, value_enum, requires_all = ["seed", "flights"])]
-    set: Option<SetName>,
+    #[arg(long, value_parser = SETS.map(|(name, _)| name), requires_all = ["seed", "flights"])]
+    set: Option<String>,
 
     /// With --set: the first flight; the usual ones begin at 3000 to learn, and at 1500 to choose.
     #[arg(long, requires = "set")]
@@ -44,14 +42,6 @@ pub struct CollectArgs {
     /// With --set: how many flights.
     #[arg(long, requires = "set", value_parser = clap::value_parser!(u64).range(1..))]
     flights: Option<u64>,
-}
-
-named! {
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-    enum SetName {
-        Learn => "learn",
-        Choose => "choose",
-    }
 }
 
 /// A flight in its line: the content of a file of it, as Base64.
@@ -63,7 +53,7 @@ impl Stage<'_> {
     /// # Errors
     /// Flights of another actor in the folder, a file that cannot be written.
     pub fn collect(&self, args: &CollectArgs, pool: &ThreadPool) -> Result<()> {
-        if let (Some(set), Some(first_seed), Some(flights)) = (args.set, args.seed, args.flights) {
+        if let (Some(set), Some(first_seed), Some(flights)) = (&args.set, args.seed, args.flights) {
             let mut campaign = self.campaign(set, first_seed, flights)?;
             let interrupt = campaign.fly(pool, |seed, _, _| self.fly(seed))?;
             let hint = if interrupt.came() {
@@ -74,10 +64,7 @@ impl Stage<'_> {
             say!("flights          {}{hint}", self.lines(set).display());
             return Ok(());
         }
-        for (set, seed, windows) in [
-            (SetName::Learn, LEARN_SEED, args.windows),
-            (SetName::Choose, CHOOSE_SEED, args.windows / 5),
-        ] {
+        for ((set, seed), windows) in SETS.into_iter().zip([args.windows, args.windows / 5]) {
             let path = self.lines(set).with_extension("safetensors");
             let flights = if path.exists() {
                 let kept = load_flights(&path, &self.pilot)?;
@@ -104,18 +91,18 @@ impl Stage<'_> {
             say!(
                 "{:<20} {} flights from seed {seed}: {attacked} attacked windows, {unattacked} unattacked, \
                  {weak} weak, {lingering} lingering",
-                format!("{}.safetensors", set.name()),
+                format!("{set}.safetensors"),
                 flights.len()
             );
         }
         Ok(())
     }
 
-    fn lines(&self, set: SetName) -> PathBuf {
-        self.folder.join(format!("{}.jsonl", set.name()))
+    fn lines(&self, set: &str) -> PathBuf {
+        self.folder.join(format!("{set}.jsonl"))
     }
 
-    fn campaign(&self, set: SetName, first_seed: u64, flights: u64) -> Result<Campaign<Recorded, Packed>> {
+    fn campaign(&self, set: &str, first_seed: u64, flights: u64) -> Result<Campaign<Recorded, Packed>> {
         let folder = self.folder;
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
         let campaign = Campaign::new(COMMAND, Recorded::by(&self.pilot)?, jobs(first_seed, flights))?;
@@ -123,13 +110,13 @@ impl Stage<'_> {
     }
 
     /// A dozen after the other until there are as many windows of each class; none when Ctrl-C came first.
-    fn gather(&self, set: SetName, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Vec<Record>>> {
+    fn gather(&self, set: &str, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Vec<Record>>> {
         // Each flight has a window or more.
         let mut campaign = self.campaign(set, first_seed, windows)?;
         let mut jobs = jobs(first_seed, BLOCK);
         let (bar, interrupt) = (Progress::new(windows, "attacked windows")?, Interrupt::on_ctrl_c()?);
-        let (mut counts, mut records) = ([0; 4], Vec::new());
-        while !has(&counts, windows) {
+        let mut records = Vec::new();
+        while !has(&counts_of(&records), windows) {
             campaign.fly_some(&jobs, pool, &interrupt, |seed, _| self.fly(seed))?;
             if interrupt.came() {
                 bar.finish();
@@ -137,11 +124,9 @@ impl Stage<'_> {
             }
             for seed in (0..BLOCK).map(|i| jobs.first_seed.wrapping_add(i)) {
                 let packed = campaign.flight(seed, 0).context("it was flown")?;
-                let record = unpacked(campaign.settings(), seed, packed)?;
-                count(&mut counts, &record);
-                records.push(record);
+                records.push(unpacked(campaign.settings(), seed, packed)?);
             }
-            let [attacked, .., unattacked] = counts;
+            let [attacked, .., unattacked] = counts_of(&records);
             ensure!(
                 attacked > 0 || records.len() < FLIGHTS_IN_VAIN,
                 "no attack in {FLIGHTS_IN_VAIN} flights moved the yaw output by {WEAK_YAW}: a detector has nothing to learn from"

@@ -279,12 +279,11 @@ impl Stage<'_> {
         config.fit.epochs = epochs;
         config.fit.seed = seed;
         let flights = self.training_flights()?;
-        let (scorer, fitted) = self.train_on(Feature::Shap, &flights, &config)?;
+        let (mut scorer, fitted) = self.train_on(Feature::Shap, &flights, &config)?;
         let file = self.path("lstm_ad.safetensors");
         let threshold = scorer.threshold(self.isa, &self.pilot, &flights[1])?;
-        scorer
-            .freeze(&self.pilot, &config, threshold, git_commit())
-            .save(&file)?;
+        (scorer.detector.threshold, scorer.detector.git_commit) = (threshold, git_commit());
+        scorer.detector.save(&file)?;
         self.write("lstm_ad.csv", to_csv(&fitted.epochs))?;
         self.write("lstm_ad.png", curves_png(&fitted.epochs))?;
         let chosen = fitted.epochs.get(fitted.chosen.saturating_sub(1));
@@ -339,11 +338,11 @@ impl Stage<'_> {
     }
 
     fn evaluate(&self, size: &EvaluationSize, detector: Option<&Path>) -> Result<()> {
-        let frozen = self.detector(detector)?;
+        let scorer = WindowScorer::from_frozen(self.detector(detector)?);
+        let frozen = &scorer.detector;
         let Some(sets) = self.evaluation(size)? else {
             return Ok(());
         };
-        let scorer = WindowScorer::from_frozen(&frozen);
         let at = |threshold| evaluate(self.isa, &self.pilot, &scorer, threshold, &sets);
         let (report, mut in_flight) = (at(0.5)?, at(frozen.threshold)?);
         // The curves are those of any threshold: once is enough.

@@ -11,11 +11,8 @@ use crate::trainer::probe::{Readout, probe};
 use anyhow::{Result, bail, ensure};
 use std::path::Path;
 use std::process::ExitCode;
-use vigil_firmware::arguments::choice;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
-use vigil_sim::family_parser;
-use vigil_sim::world::Family;
 use vigil_types::Ablation;
 
 /// Arguments of `vigil rollout`.
@@ -37,56 +34,32 @@ pub struct RolloutArgs {
     #[arg(long, value_name = "FILE")]
     actor: String,
 
-    /// Take something from the actor, as a control.
-    #[arg(long, value_parser = choice::<Ablation>(), default_value = "nothing")]
-    ablate: Ablation,
-
-    /// The odometry that the actor remembers by seems longer by this share of the path ...
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
-    drift_scale: f32,
-
-    /// ... and turns by so much that the vehicle does not, degrees per second.
-    #[arg(long, value_name = "DEG_S", default_value_t = 0.0, allow_negative_numbers = true)]
-    drift_yaw: f32,
-
-    /// Number of flights; flight i uses seed SEED + i.
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
-    flights: u64,
-
-    /// First seed.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-
-    /// Family of generated courses.
-    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
-    family: Family,
+    #[command(flatten)]
+    what: EvaluationSpec,
 
     /// Threads; all cores when absent.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 
-    /// A flight that takes longer has failed, seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 90.0)]
-    time_limit: f32,
-
     /// Tell instead how much a linear read-out of the actor's 48 values says of surfaces that it saw 5, 15 and 30 s ago and that now lie
     /// out of view; two flights of three are fitted on.
-    #[arg(long, conflicts_with_all = ["ablate", "drift_scale", "drift_yaw"])]
+    #[arg(long, conflicts_with_all = ["ablation", "scale", "yaw_rad_s"])]
     probe: bool,
 }
 
 /// Flies the courses without and with the field and prints both.
 pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
+    let what = args.what;
     ensure!(
-        args.time_limit > 0.0 && args.time_limit <= 3600.0,
+        what.time_limit_s > 0.0 && what.time_limit_s <= 3600.0,
         "--time-limit must be above 0, at most 3600 s, got {}",
-        args.time_limit
+        what.time_limit_s
     );
     ensure!(
-        args.drift_scale.abs() <= 0.5 && args.drift_yaw.abs() <= 10.0,
+        what.drift.scale.abs() <= 0.5 && what.drift.yaw_rad_s.abs() <= 10_f32.to_radians(),
         "--drift-scale must be within 0.5, --drift-yaw within 10 degrees per second"
     );
-    check_seeds(args.seed, args.flights)?;
+    check_seeds(what.first_seed, what.flights)?;
     let frozen;
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,
@@ -100,7 +73,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
             EvaluatedActor::Actor(&frozen)
         }
     };
-    let controlled = args.ablate != Ablation::Nothing || args.drift_scale != 0.0 || args.drift_yaw != 0.0;
+    let controlled = what.ablation != Ablation::Nothing || what.drift != Drift::default();
     ensure!(
         !controlled || matches!(evaluated, EvaluatedActor::Actor(..)),
         "--ablate, --drift-scale and --drift-yaw are for actors, and {} is none",
@@ -113,32 +86,20 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         EvaluatedActor::Geometric => &[false],
         _ => &[false, true],
     };
-    let spec = |field| EvaluationSpec {
-        family: args.family,
-        first_seed: args.seed,
-        flights: args.flights,
-        time_limit_s: args.time_limit,
-        field,
-        ablation: args.ablate,
-        drift: Drift {
-            scale: args.drift_scale,
-            yaw_rad_s: args.drift_yaw.to_radians(),
-        },
-    };
     if args.probe {
         let EvaluatedActor::Actor(frozen) = evaluated else {
             bail!("--probe is for actors, and {} is none", args.actor);
         };
         ensure!(
-            args.flights >= 4,
+            what.flights >= 4,
             "--probe needs 4 flights or more: two of three are fitted on, and each is compared with another one"
         );
-        let readouts = pool.install(|| probe(frozen, Isa::detect(), &spec(false)))?;
+        let readouts = pool.install(|| probe(frozen, Isa::detect(), &what))?;
         say!("{}", probed(&readouts));
         return Ok(ExitCode::SUCCESS);
     }
     for &field in fields {
-        let what = spec(field);
+        let what = EvaluationSpec { field, ..what };
         let flights = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
         let field = [if field { "on" } else { "off" }.to_owned()];
         let mean_time = [or_dash(mean_time_s(&flights).unwrap_or(f64::NAN), 1, " s")];

@@ -1,7 +1,7 @@
 //! The paper's table III: four detectors on the same states.
 
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-use crate::detector_training::lstm::{LstmConfig, WindowScorer};
+use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Separation, moments};
 use crate::detector_training::pixels::{State, States};
 use anyhow::Result;
@@ -9,9 +9,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
-use vigil_nnet::{Activation, Graph, Isa};
+use vigil_nnet::{Activation, Graph, Isa, ShapeError};
 use vigil_policy::FrozenPilot;
-use vigil_types::named;
 
 /// A detector's row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,38 +36,19 @@ impl Examples for &[State] {
     }
 }
 
-/// How CNN-AD and FCN-AD are trained.
-pub fn image_fit(epochs: usize, seed: u64) -> FitConfig {
-    FitConfig {
-        epochs,
-        batch: 32,
-        seed,
-        ..LstmConfig::default().fit
-    }
-}
-
-named! {
-    /// Which image network.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-    pub enum ImageNetwork {
-        /// Convolutions.
-        Cnn => "CNN-AD",
-        /// Dense layers only.
-        Fcn => "FCN-AD",
-    }
-}
+/// An image network: its name, and its graph with this curve at the output.
+#[derive(Clone, Copy)]
+pub struct ImageNetwork(pub &'static str, fn(Activation) -> Result<Graph, ShapeError>);
 
 impl ImageNetwork {
-    fn graph(self, output: Activation) -> Result<Graph> {
-        Ok(match self {
-            Self::Cnn => cnn_ad(output)?,
-            Self::Fcn => fcn_ad(output)?,
-        })
-    }
+    /// Convolutions.
+    pub const CNN: Self = Self("CNN-AD", cnn_ad);
+    /// Dense layers only.
+    pub const FCN: Self = Self("FCN-AD", fcn_ad);
 
     /// It, with drawn weights.
     pub(crate) fn drawn(self, output: Activation, seed: u64) -> Result<(Graph, Vec<f32>)> {
-        let graph = self.graph(output)?;
+        let graph = self.1(output)?;
         let mut params = vec![0.0; graph.param_len()];
         graph.initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut params)?;
         Ok((graph, params))
@@ -86,7 +66,7 @@ impl ImageNetwork {
         progress: &mut dyn FnMut(usize, Option<&Epoch>),
     ) -> Result<Fitted> {
         let (graph, mut params) = self.drawn(Activation::Identity, config.seed)?;
-        if self == Self::Cnn {
+        if self.0 == Self::CNN.0 {
             // Batch norm is the first layer: scale, shift, mean, variance of both channels.
             let pixels = learn.states.iter().flat_map(|s| s.image.chunks_exact(IMAGE_CHANNELS));
             let pixels = pixels.map(|pixel| pixel.iter().map(|byte| f64::from(*byte) / 255.0));
@@ -104,8 +84,7 @@ impl ImageNetwork {
     /// # Errors
     /// Parameters of another network.
     pub fn scores(self, isa: Isa, params: &[f32], states: &States) -> Result<Vec<f32>> {
-        let graph = self.graph(Activation::Sigmoid)?;
-        outputs(&graph, isa, params, &states.states.as_slice())
+        outputs(&self.1(Activation::Sigmoid)?, isa, params, &states.states.as_slice())
     }
 }
 

@@ -14,17 +14,12 @@ use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, Low
 /// How many windows there are of each [`Class`], in the order of these.
 pub type Counts = [usize; 4];
 
-/// Counts a flight's windows too.
-pub fn count(counts: &mut Counts, record: &Record) {
-    for (_, class) in Class::of_windows(record) {
-        counts[class as usize] += 1;
-    }
-}
-
 /// Of some flights.
 pub fn counts_of(records: &[Record]) -> Counts {
     let mut counts = [0; 4];
-    records.iter().for_each(|record| count(&mut counts, record));
+    for (_, class) in records.iter().flat_map(Class::of_windows) {
+        counts[class as usize] += 1;
+    }
     counts
 }
 

@@ -1,6 +1,6 @@
 //! Trains LSTM-AD on gathered flights.
 
-use crate::detector_training::features::{Extractor, Feature, Rows};
+use crate::detector_training::features::{Feature, Rows, rows_of};
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
 use crate::detector_training::flight_files::{Class, counts_of};
 use crate::detector_training::metrics::moments;
@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use vigil_detector::{Background, FrozenDetector, LstmAd, Of, ROW, WINDOW};
+use vigil_detector::{Background, FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Isa};
 use vigil_policy::FrozenPilot;
 use vigil_types::parameters;
@@ -47,21 +47,31 @@ impl Default for LstmConfig {
     }
 }
 
-/// Windows of normalised rows: of each the flight, the newest step, whether it was attacked.
-struct Windows<'a>(&'a Rows, Vec<(usize, usize, bool)>);
+/// Windows of normalised rows, of which so many values count: of each window the flight, the newest step, and whether it was attacked.
+struct Windows(Rows, usize, Vec<(usize, usize, bool)>);
 
-impl Examples for Windows<'_> {
+impl Windows {
+    fn of(mut rows: Rows, feature: Feature, at: Vec<(usize, usize, bool)>, detector: &FrozenDetector) -> Self {
+        let FrozenDetector { centre, scale, .. } = detector;
+        let all = rows.iter_mut().flatten();
+        all.for_each(|row| *row = normalise(row, centre, scale));
+        Self(rows, feature.width(), at)
+    }
+}
+
+impl Examples for Windows {
     fn count(&self) -> usize {
-        self.1.len()
+        self.2.len()
     }
 
     fn inputs<'a>(&'a self, i: usize, _: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
-        let (flight, step, _) = self.1[i];
-        (step + 1 - WINDOW..=step).map(|s| self.0.row(flight, s)).collect()
+        let (flight, step, _) = self.2[i];
+        let rows = self.0[flight][step + 1 - WINDOW..=step].iter();
+        rows.map(|row| &row[..self.1]).collect()
     }
 
     fn attacked(&self, i: usize) -> bool {
-        self.1[i].2
+        self.2[i].2
     }
 }
 
@@ -96,34 +106,31 @@ fn draw_backgrounds(records: &[Record], count: usize, seed: u64) -> Vec<Backgrou
 }
 
 /// Mean and standard deviation of each value over the unattacked windows' newest rows.
-fn statistics(rows: &Rows, at: &[(usize, usize, bool)]) -> (Vec<f32>, Vec<f32>) {
+fn statistics(rows: &Rows, at: &[(usize, usize, bool)]) -> [[f32; ROW]; 2] {
     let quiet = at.iter().filter(|(.., attacked)| !attacked);
-    let quiet = quiet.map(|(flight, step, _)| rows.row(*flight, *step).iter().map(|x| f64::from(*x)));
+    let quiet = quiet.map(|(flight, step, _)| rows[*flight][*step].iter().map(|x| f64::from(*x)));
+    let moments = moments(ROW, quiet);
     // A value that never changes is not scaled up to noise.
     let scale = |variance: f64| (variance.max(0.0).sqrt() as f32).max(1e-4);
-    let moments = moments(rows.width, quiet).into_iter();
-    moments.map(|(mean, variance)| (mean as f32, scale(variance))).unzip()
+    [
+        core::array::from_fn(|i| moments[i].0 as f32),
+        core::array::from_fn(|i| scale(moments[i].1)),
+    ]
 }
 
-/// A trained network over one kind of rows, and all that is needed to use it.
+/// A detector whose network looks at one kind of rows; what flies looks at SHAP values.
 #[derive(Debug, Clone)]
 pub struct WindowScorer {
     /// What it looks at.
     pub feature: Feature,
-    /// DeepSHAP's background sample.
-    pub backgrounds: Vec<Background>,
-    /// Subtracted from a row.
-    pub centre: Vec<f32>,
-    /// Divides a row.
-    pub scale: Vec<f32>,
-    /// The network's.
-    pub params: Vec<f32>,
+    /// Its network, and all that is needed to use it.
+    pub detector: FrozenDetector,
 }
 
 /// Highest threshold: an attack's score still passes it.
 const HIGHEST_THRESHOLD: f32 = 0.999;
 
-/// Trains; also how that went.
+/// Trains; also how that went. The threshold is to be chosen yet.
 ///
 /// # Errors
 /// Too few windows, parameters of another architecture, a loss that is not finite.
@@ -144,53 +151,35 @@ pub fn train(
         }
     }
     let backgrounds = draw_backgrounds(learn, config.backgrounds, seed);
-    let extractor = Extractor::new(feature, isa, pilot, &backgrounds)?;
-    let (mut learn_rows, mut choose_rows) = (Rows::of(&extractor, learn)?, Rows::of(&extractor, choose)?);
-    let (centre, scale) = statistics(&learn_rows, &learn_at);
-    learn_rows.normalise(&centre, &scale);
-    choose_rows.normalise(&centre, &scale);
-    let graph = LstmAd::graph(feature.width(), LstmAd::CELL, Activation::Identity)?;
-    let mut first = vec![0.0; graph.param_len()];
-    graph.initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut first)?;
-    let (learn, choose) = (Windows(&learn_rows, learn_at), Windows(&choose_rows, choose_at));
-    let fitted = fit(&graph, isa, first, &learn, &choose, &config.fit, progress)?;
-    let scorer = WindowScorer {
-        feature,
+    let rows = |records| rows_of(feature, isa, pilot, &backgrounds, records);
+    let (learn_rows, choose_rows) = (rows(learn)?, rows(choose)?);
+    let [centre, scale] = statistics(&learn_rows, &learn_at);
+    let mut detector = FrozenDetector {
+        of: Of::pilot(pilot),
+        actor_sha256: pilot.sha256(),
         backgrounds,
         centre,
         scale,
-        params: fitted.params.clone(),
+        threshold: 0.5,
+        threshold_choice: format!(
+            "raises no alarm in the unattacked windows of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
+        ),
+        params: Vec::new(),
+        training_config: toml::to_string(config).unwrap_or_else(|e| unreachable!("plain numbers: {e}")),
+        seed,
+        git_commit: None,
     };
-    Ok((scorer, fitted))
+    let graph = LstmAd::graph(feature.width(), LstmAd::CELL, Activation::Identity)?;
+    let mut first = vec![0.0; graph.param_len()];
+    graph.initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut first)?;
+    let learn = Windows::of(learn_rows, feature, learn_at, &detector);
+    let choose = Windows::of(choose_rows, feature, choose_at, &detector);
+    let fitted = fit(&graph, isa, first, &learn, &choose, &config.fit, progress)?;
+    detector.params.clone_from(&fitted.params);
+    Ok((WindowScorer { feature, detector }, fitted))
 }
 
 impl WindowScorer {
-    /// Its file's content.
-    pub fn freeze(
-        &self,
-        pilot: &FrozenPilot,
-        config: &LstmConfig,
-        threshold: f32,
-        git_commit: Option<String>,
-    ) -> FrozenDetector {
-        let row = |values: &[f32]| *values.first_chunk::<ROW>().unwrap_or(&[f32::NAN; ROW]);
-        FrozenDetector {
-            of: Of::pilot(pilot),
-            actor_sha256: pilot.sha256(),
-            backgrounds: self.backgrounds.clone(),
-            centre: row(&self.centre),
-            scale: row(&self.scale),
-            threshold,
-            threshold_choice: format!(
-                "raises no alarm in the unattacked windows of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
-            ),
-            params: self.params.clone(),
-            training_config: toml::to_string(config).unwrap_or_else(|e| unreachable!("plain numbers: {e}")),
-            seed: config.fit.seed,
-            git_commit,
-        }
-    }
-
     /// The threshold for flight: the unattacked windows of the flights that choose raise no alarm, which takes
     /// [`RAISE_COUNT`](parameters::RAISE_COUNT) of [`RAISE_WINDOW`](parameters::RAISE_WINDOW) verdicts in a row. An hour of flight has 72 000
     /// windows, and few false alarms count for more there than a few attacked windows missed, since an attack that matters lasts.
@@ -222,15 +211,10 @@ impl WindowScorer {
         Ok(highest.min(HIGHEST_THRESHOLD))
     }
 
-    /// From its file.
-    pub fn from_frozen(frozen: &FrozenDetector) -> Self {
-        Self {
-            feature: Feature::Shap,
-            backgrounds: frozen.backgrounds.clone(),
-            centre: frozen.centre.to_vec(),
-            scale: frozen.scale.to_vec(),
-            params: frozen.params.clone(),
-        }
+    /// One that flies.
+    pub fn from_frozen(detector: FrozenDetector) -> Self {
+        let feature = Feature::Shap;
+        Self { feature, detector }
     }
 
     /// Scores of all steps of all flights; `None` until the window is full.
@@ -238,16 +222,14 @@ impl WindowScorer {
     /// # Errors
     /// Parameters of another architecture.
     pub fn scores(&self, isa: Isa, pilot: &FrozenPilot, records: &[Record]) -> Result<Vec<Vec<Option<f32>>>> {
-        let extractor = Extractor::new(self.feature, isa, pilot, &self.backgrounds)?;
-        let mut rows = Rows::of(&extractor, records)?;
-        rows.normalise(&self.centre, &self.scale);
+        let rows = rows_of(self.feature, isa, pilot, &self.detector.backgrounds, records)?;
         let all = records.iter().enumerate();
         let at = all.flat_map(|(flight, r)| (WINDOW - 1..r.steps.len()).map(move |step| (flight, step, false)));
-        let windows = Windows(&rows, at.collect());
+        let windows = Windows::of(rows, self.feature, at.collect(), &self.detector);
         let graph = LstmAd::graph(self.feature.width(), LstmAd::CELL, Activation::Sigmoid)?;
-        let outputs = outputs(&graph, isa, &self.params, &windows)?;
+        let outputs = outputs(&graph, isa, &self.detector.params, &windows)?;
         let mut scores: Vec<Vec<Option<f32>>> = records.iter().map(|r| vec![None; r.steps.len()]).collect();
-        for ((flight, step, _), score) in windows.1.iter().zip(outputs) {
+        for ((flight, step, _), score) in windows.2.iter().zip(outputs) {
             scores[*flight][*step] = Some(score);
         }
         Ok(scores)

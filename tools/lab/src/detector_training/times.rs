@@ -50,8 +50,8 @@ pub fn time(
     let (mut lstm, mut rows) = (LstmAd::new(isa, &detector.params)?, [[0.0; ROW]; WINDOW]);
     let mut pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut phi_of_pixels = vec![0.0; pixels.phi_len()];
-    let mut cnn = image_detector(isa, ImageNetwork::Cnn)?;
-    let mut fcn = image_detector(isa, ImageNetwork::Fcn)?;
+    let mut cnn = image_detector(isa, ImageNetwork::CNN)?;
+    let mut fcn = image_detector(isa, ImageNetwork::FCN)?;
     let mut times = Times::default();
     let [action_s, explanation_s, verdict_s, pixels_s, cnn_s, fcn_s] = &mut times;
     let scenario = Scenario::unattacked(Family::Validation, seed, Plan::Actor);

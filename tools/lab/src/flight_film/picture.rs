@@ -119,9 +119,8 @@ impl Canvas {
         }
     }
 
-    pub fn disc(&mut self, (cx, cy): (f32, f32), radius: f32, colour: u8) {
-        let around = (cx - radius, cy - radius, cx + radius, cy + radius);
-        self.fill(around, colour, |x, y| (x - cx).hypot(y - cy) <= radius);
+    pub fn disc(&mut self, centre: (f32, f32), radius: f32, colour: u8) {
+        self.ring(centre, 0.5 * radius, radius, colour);
     }
 
     pub fn ring(&mut self, (cx, cy): (f32, f32), radius: f32, width: f32, colour: u8) {

@@ -8,36 +8,29 @@ use vigil_types::{StepReport, Verdict, named};
 /// A step that begins later, or takes so much longer than usual, is asked for its cause.
 const NOTABLE_NS: u64 = 1_000_000;
 
-/// What a step had to do.
+/// What steps have to do.
+const PARTS: [&str; 4] = ["new frame", "decision", "explanation and verdict", "alarm"];
+
+/// Which of the parts a step had to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub struct Work {
-    pub frame: bool,
-    pub decided: bool,
-    pub scored: bool,
-    pub alarm: bool,
-}
+pub struct Work(pub [bool; PARTS.len()]);
 
 impl Work {
     /// Of a step after one whose frame was `previous_frame`.
     pub fn of(report: &StepReport, previous_frame: Option<u64>) -> Self {
-        Self {
-            frame: report.frame_sequence.is_some() && report.frame_sequence != previous_frame,
-            decided: report.action.is_some(),
-            scored: report.judgement.as_ref().is_some_and(|j| j.verdict != Verdict::Unknown),
-            alarm: report.alarm.is_some(),
-        }
+        Self([
+            report.frame_sequence.is_some() && report.frame_sequence != previous_frame,
+            report.action.is_some(),
+            report.judgement.as_ref().is_some_and(|j| j.verdict != Verdict::Unknown),
+            report.alarm.is_some(),
+        ])
     }
 }
 
 impl fmt::Display for Work {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let parts = [
-            (self.frame, "new frame"),
-            (self.decided, "decision"),
-            (self.scored, "explanation and verdict"),
-            (self.alarm, "alarm"),
-        ];
-        let words: Vec<_> = parts.iter().filter(|(is, _)| *is).map(|(_, word)| *word).collect();
+        let parts = PARTS.into_iter().zip(self.0);
+        let words: Vec<_> = parts.filter_map(|(word, is)| is.then_some(word)).collect();
         f.write_str(or(&words.join(", "), "telemetry only"))
     }
 }
@@ -210,12 +203,7 @@ mod tests {
 
     #[test]
     fn what_a_step_had_to_do_is_reported_by_its_parts() {
-        let work = Work {
-            frame: true,
-            decided: true,
-            scored: true,
-            alarm: false,
-        };
+        let work = Work([true, true, true, false]);
         assert_eq!(work.to_string(), "new frame, decision, explanation and verdict");
         assert_eq!(Work::default().to_string(), "telemetry only");
     }

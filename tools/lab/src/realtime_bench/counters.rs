@@ -82,15 +82,19 @@ fn read<'a>(file: &File, text: &'a mut [u8]) -> &'a str {
     std::str::from_utf8(text.get(..length).unwrap_or_default()).unwrap_or_default()
 }
 
+/// The number in a place of a line; what is none counts nothing.
+fn number(line: &str, place: usize) -> u64 {
+    let word = line.split_ascii_whitespace().nth(place);
+    word.and_then(|word| word.parse().ok()).unwrap_or(0)
+}
+
 /// `processor_ns queued_ns timeslices`
 fn parse_schedule(text: &str, counters: &mut Counters) {
-    let mut numbers = text.split_ascii_whitespace().map_while(|word| word.parse().ok());
-    counters.processor_ns = numbers.next().unwrap_or(0);
-    counters.queued_ns = numbers.next().unwrap_or(0);
+    (counters.processor_ns, counters.queued_ns) = (number(text, 0), number(text, 1));
 }
 
 fn parse_status(text: &str, counters: &mut Counters) {
-    let count = |name| field(text, name).and_then(|count| count.parse().ok()).unwrap_or(0);
+    let count = |name| field(text, name).map_or(0, |count| number(count, 0));
     counters.voluntary = count("voluntary_ctxt_switches");
     counters.involuntary = count("nonvoluntary_ctxt_switches");
 }
@@ -98,15 +102,12 @@ fn parse_status(text: &str, counters: &mut Counters) {
 /// The name in brackets may hold anything; minor and major faults are the 8th and 10th field behind it.
 fn parse_faults(text: &str, counters: &mut Counters) {
     let behind = text.rsplit_once(')').map_or("", |(_, rest)| rest);
-    let mut fields = behind.split_ascii_whitespace();
-    counters.minor_faults = fields.nth(7).and_then(|word| word.parse().ok()).unwrap_or(0);
-    counters.major_faults = fields.nth(1).and_then(|word| word.parse().ok()).unwrap_or(0);
+    (counters.minor_faults, counters.major_faults) = (number(behind, 7), number(behind, 9));
 }
 
 /// Of all processors, in ticks of 10 ms.
 fn parse_stolen(line: &str) -> u64 {
-    let ticks = line.split_ascii_whitespace().nth(8).and_then(|word| word.parse().ok());
-    ticks.unwrap_or(0_u64).saturating_mul(10_000_000)
+    number(line, 8).saturating_mul(10_000_000)
 }
 
 #[cfg(test)]

@@ -526,7 +526,7 @@ mod tests {
     fn steps_with_more_work_are_compared_with_their_like() {
         let mut steps = punctual();
         for step in steps.iter_mut().step_by(2) {
-            step.work.scored = true;
+            step.work.0[2] = true;
             (step.took_ns, step.counted.processor_ns) = (2_000_000, 2_000_000);
         }
         assert!(RealtimeReport::of(run(), &steps).long_causes.is_empty());

@@ -8,10 +8,12 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use vigil_firmware::arguments::choice;
 use vigil_nnet::Isa;
 use vigil_policy::actor::Actor;
 use vigil_policy::{FlightField, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_sim::environment::Environment;
+use vigil_sim::family_parser;
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice, NedVector};
@@ -30,22 +32,35 @@ pub enum EvaluatedActor<'a> {
 }
 
 /// Which flights.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct EvaluationSpec {
-    /// Family of courses.
-    pub family: Family,
-    /// First seed.
-    pub first_seed: u64,
-    /// How many.
-    pub flights: u64,
-    /// A flight that takes longer has failed, seconds.
-    pub time_limit_s: f32,
-    /// The potential field is added, as in flight.
-    pub field: bool,
-    /// What is taken from the actor.
+    /// Take something from the actor, as a control.
+    #[arg(long = "ablate", value_name = "ABLATE", value_parser = choice::<Ablation>(), default_value = "nothing")]
     pub ablation: Ablation,
+
     /// How its odometry drifts.
+    #[command(flatten)]
     pub drift: Drift,
+
+    /// Number of flights; flight i uses seed SEED + i.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    pub flights: u64,
+
+    /// First seed.
+    #[arg(long = "seed", value_name = "SEED", default_value_t = 1)]
+    pub first_seed: u64,
+
+    /// Family of generated courses.
+    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
+    pub family: Family,
+
+    /// A flight that takes longer has failed, seconds.
+    #[arg(long = "time-limit", value_name = "SECONDS", default_value_t = 90.0)]
+    pub time_limit_s: f32,
+
+    /// The potential field is added, as in flight.
+    #[arg(skip)]
+    pub field: bool,
 }
 
 /// How many flights ended how.

@@ -57,12 +57,23 @@ pub struct Observer {
 }
 
 /// How the odometry that the memory gets differs from the estimate.
-#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize, clap::Args)]
 pub struct Drift {
-    /// Share by which ways seem longer.
+    /// The odometry that the actor remembers by seems longer by this share of the path ...
+    #[arg(long = "drift-scale", value_name = "SHARE")]
+    #[arg(default_value_t = 0.0, allow_negative_numbers = true)]
     pub scale: f32,
-    /// Turning that does not happen, radians per second.
+
+    /// Turning of the odometry that is none of the vehicle's, radians per second.
+    #[arg(long = "drift-yaw", value_name = "DEG_S", value_parser = radians)]
+    #[arg(help = "... and turns by so much that the vehicle does not, degrees per second")]
+    #[arg(default_value_t = 0.0, allow_negative_numbers = true)]
     pub yaw_rad_s: f32,
+}
+
+/// Takes degrees.
+fn radians(degrees: &str) -> Result<f32, std::num::ParseFloatError> {
+    degrees.parse().map(f32::to_radians)
 }
 
 /// Odometry as an estimator that drifts would have it.

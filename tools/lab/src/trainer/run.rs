@@ -480,14 +480,13 @@ pub fn csv(rows: &[Row]) -> String {
         "updates,decisions,elapsed_s,flights,successes,reward,critic_loss,value,saturated,critic_norm,actor_norm{names}\n"
     );
     for r in rows {
-        let u = &r.update;
         let completion = |family: &Family| {
             let of_it = r.evaluated.iter().find(|c| c.family == *family);
             of_it.map_or(",".to_owned(), |c| format!(",{:.4}", c.completion()))
         };
         let evaluated: String = families.iter().map(completion).collect();
-        let (updates, decisions, elapsed_s) = (r.updates, r.decisions, r.elapsed_s);
         let (flights, successes, reward) = (r.flights, r.successes, r.reward(4).unwrap_or_default());
+        let (updates, decisions, elapsed_s, u) = (r.updates, r.decisions, r.elapsed_s, &r.update);
         text += &format!("{updates},{decisions},{elapsed_s:.1},{flights},{successes},{reward}");
         let (loss, value, saturated, critic, actor) =
             (u.critic_loss, u.value, u.saturated, u.critic_norm, u.actor_norm);

@@ -103,24 +103,18 @@ mod tests {
     }
 
     #[test]
-    fn packets_that_were_held_up_get_no_stamp_and_afterwards_all_is_as_before() {
+    fn packets_held_up_and_of_a_clock_that_is_set_get_no_stamp_and_afterwards_all_is_well() {
         let held = |n| if (100..110).contains(&n) { (110 - n) * STEP } else { 0 };
         let stamps = stamped(200, |n| n * STEP, held);
         assert!(matches!(stamps[100], Err(Fault::ClockBehind(behind_s)) if (behind_s - 0.5).abs() < 1e-6));
         assert!(stamps[109..].iter().all(Result::is_ok) && stamps[..100].iter().all(Result::is_ok));
         assert_eq!(stamps[150], Ok(BOOT + 150 * STEP));
-    }
-
-    #[test]
-    fn a_clock_that_is_set_back_is_named_and_believed_again_from_its_new_time() {
+        // Set back.
         let device_ns = |n: u64| 60_000_000_000 + n * STEP - if n >= 100 { 30_000_000_000 } else { 0 };
         let stamps = stamped(200, device_ns, |_| 0);
         assert!(matches!(stamps[100], Err(Fault::ClockBack(back_s)) if (back_s - 29.95).abs() < 1e-6));
         assert_eq!(stamps[101], Ok(BOOT + 101 * STEP));
-    }
-
-    #[test]
-    fn a_clock_that_stays_behind_for_a_second_was_set() {
+        // Behind for a second.
         let late = |n| if n >= 130 { 300_000_000 } else { 0 };
         let stamps = stamped(200, |n| n * STEP, late);
         let faults = stamps.iter().filter(|s| s.is_err()).count();

@@ -69,9 +69,8 @@ impl OusterDevice {
                 "the sensor sends the packet format {profile}; this adapter reads LEGACY: set udp_profile_lidar to LEGACY"
             )));
         }
-        let mode = find("lidar_mode")
-            .and_then(Value::as_str)
-            .and_then(|m| m.split_once('x'));
+        let mode = find("lidar_mode").and_then(Value::as_str);
+        let mode = mode.and_then(|mode| mode.split_once('x'));
         let (columns, rate) = mode.ok_or_else(|| wrong("lidar_mode", "a mode as 1024x20"))?;
         let columns = columns.parse().ok().filter(|n| [512, 1024, 2048, 4096].contains(n));
         let rate_hz = rate.parse().ok().filter(|hz| [5.0, 10.0, 20.0].contains(hz));

@@ -2,7 +2,7 @@
 
 use super::Settings;
 use crate::campaign::flights::Campaign;
-use crate::campaign::{FaultTally, Flight, SensorRecord, WatchRecord, outcome_name};
+use crate::campaign::{Flight, SensorRecord, WatchRecord, outcome_name};
 use crate::cli::output::{self, Paint, say};
 use crate::report::TextTable;
 use crate::statistics::{quantile, wilson_95};
@@ -22,6 +22,40 @@ struct Rate {
     flights: usize,
     share: f64,
     wilson_95: (f64, f64),
+}
+
+/// How the flights with a fault ended.
+#[derive(Default, Serialize)]
+struct FaultTally {
+    fault: String,
+    flights: usize,
+    /// Or left the course.
+    collisions: usize,
+    held: usize,
+    arrived: usize,
+    time_outs: usize,
+}
+
+impl FaultTally {
+    /// Counts the flights with the fault of this name.
+    fn of(fault: &str, flights: &[&Flight]) -> Self {
+        let mut tally = Self {
+            fault: fault.to_owned(),
+            ..Self::default()
+        };
+        for flight in flights.iter().filter(|f| f.sensor_fault.as_deref() == Some(fault)) {
+            tally.flights += 1;
+            // One that guidance never flew was held from the start, on the ground as in the air.
+            let is_held = flight.sensor.held_at_end || flight.sensor.flown_steps == 0;
+            *match flight.record.outcome {
+                Some(Outcome::Success) => &mut tally.arrived,
+                Some(Outcome::Collision | Outcome::OutOfBounds) => &mut tally.collisions,
+                Some(Outcome::TimeOut) if !is_held => &mut tally.time_outs,
+                Some(Outcome::TimeOut) | None => &mut tally.held,
+            } += 1;
+        }
+        tally
+    }
 }
 
 /// Nothing in it depends on the machine or on the time that it took.
@@ -49,14 +83,6 @@ const OUTCOMES: [Option<Outcome>; 5] = [
     Some(Outcome::TimeOut),
     None,
 ];
-
-/// What a run cost on this machine.
-pub(super) struct Took {
-    pub(super) wall_s: f64,
-    pub(super) threads: usize,
-    /// Simulated by runs before, seconds.
-    pub(super) before_s: f64,
-}
 
 /// What the flights of a campaign took in the simulation, seconds.
 pub(super) fn simulated_s(campaign: &Campaign<Settings, Flight>) -> f64 {
@@ -137,8 +163,13 @@ fn print_failed(flights: &[&Flight]) {
     }
 }
 
-/// Prints the table of a campaign and writes its JSON.
-pub(super) fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: Option<&Took>) -> Result<()> {
+/// Prints the table of a campaign and writes its JSON. `took`: seconds and threads of the run on this machine, and the seconds that runs
+/// before simulated.
+pub(super) fn report(
+    campaign: &Campaign<Settings, Flight>,
+    json: &Path,
+    took: Option<(f64, usize, f64)>,
+) -> Result<()> {
     let (settings, jobs) = (campaign.settings(), campaign.jobs());
     // All with one fault before the next.
     let flights: Vec<&Flight> = jobs.arms.iter().flat_map(|arm| campaign.flights_of(arm)).collect();
@@ -156,12 +187,17 @@ pub(super) fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: O
     print_flights(&flights, settings.attack.is_some());
     if !tallies.is_empty() {
         say!();
+        let mut table = TextTable::new("sensor fault | > flights | > collision | > safe hold | > arrived | > time-out");
+        for t in &tallies {
+            let counts = [t.flights, t.collisions, t.held, t.arrived, t.time_outs].map(|n| n.to_string());
+            table.row([t.fault.clone()].into_iter().chain(counts));
+        }
         let good: Vec<bool> = tallies.iter().map(|tally| tally.collisions == 0).collect();
-        paint.table(&FaultTally::table(&tallies), &good);
+        paint.table(&table, &good);
         say!("");
     }
-    if let Some(took) = took {
-        let (new_s, wall_s, threads) = (simulated_s - took.before_s, took.wall_s, took.threads);
+    if let Some((wall_s, threads, before_s)) = took {
+        let new_s = simulated_s - before_s;
         let factor = new_s / wall_s / threads.min(flights.len()).max(1) as f64;
         say!("{new_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
     }
@@ -183,4 +219,32 @@ pub(super) fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: O
         say!("details          {}", json.display());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flight_that_guidance_never_flew_was_held_on_the_ground_as_in_the_air() {
+        let flight = |outcome: Option<&str>, flown_steps: u64| {
+            let of_sensor = SensorRecord {
+                flown_steps,
+                ..SensorRecord::default()
+            };
+            let flight = serde_json::json!({
+                "seed": 4, "from_ground": false, "sensor_fault": "zeros", "outcome": outcome, "flight_time_s": 45.0,
+                "path_length_m": 0.0, "closest_goal_m": 20.0, "closest_obstacle_m": 1.0, "steps": 900, "state_hash": "0",
+                "sensor": of_sensor,
+            });
+            serde_json::from_value::<Flight>(flight).unwrap()
+        };
+        let flights = [
+            flight(None, 0),
+            flight(Some("time-out"), 0),
+            flight(Some("time-out"), 900),
+        ];
+        let tally = FaultTally::of("zeros", &flights.iter().collect::<Vec<_>>());
+        assert_eq!((tally.held, tally.time_outs), (2, 1));
+    }
 }

@@ -35,7 +35,7 @@ impl Shown {
                 log_name(args, faults[arm as usize], args.seed.wrapping_add(seed))
             })
             .collect();
-        let script = args.viewer.follow_all(&folder, &names)?;
+        let script = args.viewer.follow(&folder, &["--flights", &names.join(",")])?;
         Ok(Self { count, folder, script })
     }
 

@@ -1,8 +1,10 @@
 //! What is found in what a vehicle sent: each value graded, with what is wanted and why.
 
 use super::{EKF_STATUS_REPORT, Examination, GOOD_HZ, Gaps, SECOND_NS, late_ns, s};
+use crate::doctor::GroundTilt;
 use crate::doctor::finding::{Finding, Report, Severity};
-use crate::doctor::parameters::{self, STICKS_BY_SPEED};
+use crate::doctor::parameters::{self, BEFORE_BY_SPEED, STICKS_BY_SPEED};
+use crate::sensor_check::median;
 use std::collections::BTreeSet;
 use vigil_mavlink::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
@@ -427,11 +429,11 @@ impl Examination {
 
     fn read_parameters(&self, report: &mut Report) {
         let value_of = |name: &str| self.parameters.get(name).and_then(|asked| asked.value);
-        let by_speed = value_of(STICKS_BY_SPEED).is_some();
-        for row in parameters::of(self.vehicle.flavour()) {
-            if row.by_speed().is_some_and(|wanted| wanted != by_speed) {
-                continue;
-            }
+        let of_others: &[&str] = match value_of(STICKS_BY_SPEED) {
+            Some(_) => &BEFORE_BY_SPEED,
+            None => &[STICKS_BY_SPEED],
+        };
+        for row in parameters::of(self.vehicle.flavour()).filter(|row| !of_others.contains(&row.name)) {
             match value_of(row.name) {
                 Some(value) => {
                     let found = format!("{value} {}", row.unit).trim_end().to_owned();
@@ -446,7 +448,7 @@ impl Examination {
     }
 
     fn mounting(&self, report: &mut Report) {
-        let Some((attitude, position_ned_m, _)) = self.frame else {
+        let Some((attitude, position_ned_m)) = self.frame else {
             return;
         };
         let t = &self.vehicle.telemetry;
@@ -463,15 +465,10 @@ impl Examination {
                 "the pose in the frames' header is of another frame or vehicle: guidance holds (implausible pose)",
             );
         }
-        if self.tilts.is_empty() {
+        let median_of = |of: fn(&GroundTilt) -> f32| median(self.tilts.iter().map(of).collect());
+        let (Some(pitch), Some(roll)) = (median_of(|t| t.pitch_rad), median_of(|t| t.roll_rad)) else {
             return;
-        }
-        let median = |of: fn(&(f32, f32)) -> f32| {
-            let mut values: Vec<f32> = self.tilts.iter().map(of).collect();
-            values.sort_by(f32::total_cmp);
-            values[values.len() / 2]
         };
-        let (pitch, roll) = (median(|t| t.0), median(|t| t.1));
         let severity = Severity::good_if(pitch.abs().max(roll.abs()) <= TILT_RAD, Severity::Warning);
         let (pitch, roll) = (pitch.to_degrees(), roll.to_degrees());
         report.grade(

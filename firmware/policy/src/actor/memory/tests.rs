@@ -37,7 +37,7 @@ impl Flight {
         self.at.position_ned_m.x += north_m;
         self.at.yaw_rad = yaw_rad;
         let scan = self.scan();
-        self.memory.observe(&scan, self.at);
+        self.memory.remember(&scan, self.at);
     }
 
     fn steps(&mut self, steps: usize, north_m: f32, yaw_rad: f32) {
@@ -146,7 +146,7 @@ fn of_what_is_no_scan_nothing_is_remembered_and_no_surface_is_too_many() {
     let mut flight = Flight::beside_a_wall(2.0);
     flight.step(0.0, FRAC_PI_2);
     let before = *flight.memory.context();
-    flight.memory.observe(&[f32::NAN; SCAN], flight.at);
+    flight.memory.remember(&[f32::NAN; SCAN], flight.at);
     assert_eq!(*flight.memory.context(), before);
     // A hall of walls that never ends: the list is full, and what is near is known.
     for step in 0..20_000_u64 {
@@ -154,7 +154,7 @@ fn of_what_is_no_scan_nothing_is_remembered_and_no_surface_is_too_many() {
         flight.at.position_ned_m.x += 0.02;
         flight.at.yaw_rad = 0.01 * step as f32;
         let scan = flight.scan();
-        flight.memory.observe(&scan, flight.at);
+        flight.memory.remember(&scan, flight.at);
     }
     assert!(flight.memory.cells.len() <= CELLS);
     let (near, _) = flight.ring();

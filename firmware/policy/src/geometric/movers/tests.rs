@@ -2,21 +2,18 @@ use super::*;
 use crate::geometric::track::Whereabouts;
 use std::vec::Vec;
 
-/// One round thing before a wall that stands 8 m north.
+/// One round thing before a wall that stands 8 m north: where it begins, and its velocity.
 pub(crate) struct Scene {
     pub start_m: (f32, f32),
     pub velocity_m_s: (f32, f32),
-    pub radius_m: f32,
 }
 
+/// The thing's radius, metres.
+pub(crate) const RADIUS_M: f32 = 0.3;
+
 impl Scene {
-    /// A thing of 0.3 m that begins there and moves so.
     pub(crate) fn of(start_m: (f32, f32), velocity_m_s: (f32, f32)) -> Self {
-        Self {
-            start_m,
-            velocity_m_s,
-            radius_m: 0.3,
-        }
+        Self { start_m, velocity_m_s }
     }
 
     pub(crate) fn at(&self, seconds: f32) -> (f32, f32) {
@@ -28,7 +25,7 @@ impl Scene {
 }
 
 /// What is seen from a place north of the origin, looking north, of a thing in its place and the wall.
-fn seen(from: NedVector, (north_m, east_m): (f32, f32), radius_m: f32) -> Scan {
+fn seen(from: NedVector, (north_m, east_m): (f32, f32)) -> Scan {
     const WALL_M: f32 = 8.0;
     let mut scan = Scan::EMPTY;
     for i in 0..SECTORS {
@@ -38,8 +35,8 @@ fn seen(from: NedVector, (north_m, east_m): (f32, f32), radius_m: f32) -> Scan {
         let (n, e) = (north_m - from.x, east_m - from.y);
         let along = n * dx + e * dy;
         let beside = n * dy - e * dx;
-        if along > 0.0 && beside.abs() < radius_m {
-            range_m = range_m.min(along - libm::sqrtf(radius_m * radius_m - beside * beside));
+        if along > 0.0 && beside.abs() < RADIUS_M {
+            range_m = range_m.min(along - libm::sqrtf(RADIUS_M * RADIUS_M - beside * beside));
         }
         (scan.direction_forward[i], scan.direction_right[i]) = (dx, dy);
         (scan.forward_m[i], scan.right_m[i]) = (range_m * dx, range_m * dy);
@@ -50,24 +47,19 @@ fn seen(from: NedVector, (north_m, east_m): (f32, f32), radius_m: f32) -> Scan {
 
 /// Watches a scene from the origin for so many frames.
 pub(crate) fn track(scene: &Scene, frames: u64) -> MoverTracker {
-    watch(frames, scene.radius_m, |at_s| scene.at(at_s))
+    watch(frames, |at_s| scene.at(at_s))
 }
 
-/// Watches a thing of this radius, which is there after so many seconds, from the origin for so many frames.
-fn watch(frames: u64, radius_m: f32, at: impl Fn(f32) -> (f32, f32)) -> MoverTracker {
-    watch_and_look(frames, radius_m, |frame| at(frame as f32 * 0.05), |_, _| {})
+/// Watches a thing, which is there after so many seconds, from the origin for so many frames.
+fn watch(frames: u64, at: impl Fn(f32) -> (f32, f32)) -> MoverTracker {
+    watch_and_look(frames, |frame| at(frame as f32 * 0.05), |_, _| {})
 }
 
 /// The same of a thing that is there in so many frames, looking at the tracker after each.
-fn watch_and_look(
-    frames: u64,
-    radius_m: f32,
-    at: impl Fn(u64) -> (f32, f32),
-    look: impl Fn(u64, &MoverTracker),
-) -> MoverTracker {
+fn watch_and_look(frames: u64, at: impl Fn(u64) -> (f32, f32), look: impl Fn(u64, &MoverTracker)) -> MoverTracker {
     let mut tracker = MoverTracker::default();
     for frame in 0..frames {
-        let scan = seen(NedVector::ZERO, at(frame), radius_m);
+        let scan = seen(NedVector::ZERO, at(frame));
         tracker.observe(&scan, NedVector::ZERO, 0.0, frame * 50_000_000);
         look(frame, &tracker);
     }
@@ -76,14 +68,10 @@ fn watch_and_look(
 
 /// Looks west for these frames: nothing of what is north is in view.
 pub(crate) fn look_aside(tracker: &mut MoverTracker, frames: core::ops::Range<u64>) {
-    let scan = seen(NedVector::ZERO, (50.0, 50.0), 0.3);
+    let scan = seen(NedVector::ZERO, (50.0, 50.0));
+    let west_rad = -core::f32::consts::FRAC_PI_2 - 0.6;
     for frame in frames {
-        tracker.observe(
-            &scan,
-            NedVector::ZERO,
-            -core::f32::consts::FRAC_PI_2 - 0.6,
-            frame * 50_000_000,
-        );
+        tracker.observe(&scan, NedVector::ZERO, west_rad, frame * 50_000_000);
     }
 }
 
@@ -98,7 +86,7 @@ fn whereabouts(mover: &Track) -> Vec<Whereabouts> {
 #[test]
 fn what_left_the_view_has_not_come_back_unseen() {
     // It leaves the view, 60 degrees to the right, after 4.3 s, and is not seen for three seconds.
-    let tracker = watch(150, 0.3, |at_s| (1.5, 0.6 * at_s));
+    let tracker = watch(150, |at_s| (1.5, 0.6 * at_s));
     let mover = tracker.movers().next().expect("it moves");
     assert!(!mover.is_located());
     let all = whereabouts(mover);
@@ -116,7 +104,7 @@ fn what_was_seen_to_turn_at_both_ends_is_known_to_turn_there_again() {
         let share = (at_s / 8.0) % 1.0;
         -1.0 + 2.4 * if share < 0.5 { 2.0 * share } else { 2.0 - 2.0 * share }
     };
-    let tracker = watch(200, 0.3, |at_s| (3.0, east_m(at_s)));
+    let tracker = watch(200, |at_s| (3.0, east_m(at_s)));
     // Two seconds after its second turn, on its way to the right.
     let mover = tracker.movers().next().expect("it moves");
     let all = whereabouts(mover);
@@ -169,7 +157,7 @@ fn what_stands_does_not_move_however_the_vehicle_does() {
     let mut tracker = MoverTracker::default();
     for frame in 0..80_u32 {
         let from = NedVector::new(0.04 * frame as f32, 0.3 * libm::sinf(0.1 * frame as f32), 0.0);
-        tracker.observe(&seen(from, (5.0, 0.6), 0.25), from, 0.0, u64::from(frame) * 50_000_000);
+        tracker.observe(&seen(from, (5.0, 0.6)), from, 0.0, u64::from(frame) * 50_000_000);
     }
     assert_eq!(tracker.movers().count(), 0);
 }
@@ -186,7 +174,7 @@ fn one_that_turned_back_out_of_sight_is_the_same_when_it_is_seen_again() {
         };
         (3.0, east_m)
     };
-    let tracker = watch_and_look(160, 0.3, at, |frame, tracker| {
+    let tracker = watch_and_look(160, at, |frame, tracker| {
         let located = tracker.movers().filter(|m| m.is_located()).count();
         match frame {
             59 | 159 => assert_eq!(located, 1, "{frame}"),
@@ -209,7 +197,7 @@ fn what_stands_on_the_lane_of_a_lost_mover_does_not_take_its_place() {
         60..70 => (3.0, 50.0),
         _ => (3.0, 2.1),
     };
-    let tracker = watch_and_look(120, 0.3, at, |_, _| {});
+    let tracker = watch_and_look(120, at, |_, _| {});
     let lost: Vec<&Track> = tracker.movers().collect();
     assert_eq!(lost.len(), 1, "the column stands: {lost:?}");
     assert!(
@@ -229,7 +217,7 @@ fn the_trace_of_a_mover_is_forgotten_once() {
 #[test]
 fn one_that_stays_is_an_obstacle_like_others() {
     let at = |frame: u64| (3.0, 0.03 * frame.min(40) as f32);
-    let tracker = watch_and_look(120, 0.3, at, |frame, tracker| {
+    let tracker = watch_and_look(120, at, |frame, tracker| {
         assert!(frame != 39 || tracker.movers().count() == 1);
     });
     assert_eq!(tracker.movers().count(), 0);

@@ -6,9 +6,8 @@ use super::*;
 fn seen_error_m_s(flight: &mut Flight, steps: usize, error_m_s: NedVector) -> NedVector {
     for _ in 0..steps {
         flight.look();
-        if let Some(kinematics) = &mut flight.telemetry.kinematics {
-            kinematics.velocity_ned_m_s = kinematics.velocity_ned_m_s + error_m_s;
-        }
+        let kinematics = flight.telemetry.kinematics.as_mut().unwrap();
+        kinematics.velocity_ned_m_s = kinematics.velocity_ned_m_s + error_m_s;
         assert_eq!(flight.check(), Reasons::NONE);
     }
     flight.plausibility.velocity_error_m_s()
@@ -35,9 +34,7 @@ fn an_estimate_that_agrees_with_itself_is_believed_and_so_is_one_in_a_mission() 
     assert!(seen_error_m_s(&mut flight, 12, error_m_s).norm() > 0.2);
     for _ in 0..2 {
         flight.look();
-        if let Some(heartbeat) = &mut flight.telemetry.heartbeat {
-            heartbeat.mode = VehicleMode::Mission;
-        }
+        flight.telemetry.heartbeat.as_mut().unwrap().mode = VehicleMode::Mission;
         flight.check();
     }
     assert_eq!(flight.plausibility.velocity_error_m_s(), NedVector::ZERO);

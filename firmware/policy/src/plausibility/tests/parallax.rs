@@ -7,11 +7,7 @@ fn repaint(by_m: f32) -> impl FnMut(&mut DepthFrame) {
     move |frame| {
         let header = frame.header;
         for (pixel, depth) in frame.depth.iter_mut().enumerate() {
-            let bearing = column_bearing_rad((pixel % DEPTH_COLS) as f32);
-            let elevation = row_elevation_rad((pixel / DEPTH_COLS) as f32);
-            let (level, up) = (libm::cosf(elevation), libm::sinf(elevation));
-            let ray = FrdVector::new(level * libm::cosf(bearing), level * libm::sinf(bearing), -up);
-            let falls = header.attitude.to_ned(ray).z;
+            let falls = header.attitude.to_ned(ray(pixel, 1.0)).z;
             let ground = match falls > 0.0 {
                 true => -header.position_ned_m.z / (falls * DEPTH_FULL_SCALE_M),
                 false => f32::INFINITY,
@@ -77,11 +73,7 @@ fn true_ranges_odometry_of_a_tenth_too_much_and_a_hall_without_edges_convict_nob
     let mut flight = Flight::new();
     for _ in 0..300 {
         flight.look();
-        let position = &mut flight.frame.header.position_ned_m;
-        position.x *= 1.1;
-        if let Some(kinematics) = &mut flight.telemetry.kinematics {
-            kinematics.position_ned_m.x *= 1.1;
-        }
+        flight.misplace(NedVector::new(0.1 * flight.position.x, 0.0, 0.0));
         flight.check();
         assert!(!flight.plausibility.parallax.is_raised);
     }

@@ -6,7 +6,7 @@
 mod catalogue;
 
 use crate::core::padded;
-use crate::flight::{Failsafe, FlightMode};
+use crate::flight::state::Commander;
 use crate::service::prelude::*;
 use std::collections::VecDeque;
 
@@ -21,34 +21,15 @@ const TELL_NS: Nanos = 1_000_000_000;
 /// Events kept for those who ask for them again.
 const KEPT: usize = 64;
 
-/// What events tell changes of.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Monitored {
-    armed: bool,
-    mode: FlightMode,
-    failsafe: Option<Failsafe>,
-    terminated: bool,
-    on_ground: bool,
-    check: Option<ArmingCheck>,
-}
-
-impl Monitored {
-    fn of(core: &Core) -> Self {
-        let c = &core.commander;
-        Self {
-            armed: c.armed,
-            mode: c.mode,
-            failsafe: c.failsafe,
-            terminated: c.terminated,
-            on_ground: c.is_on_ground(),
-            check: core.arming_check().err().as_ref().map(check_of),
-        }
-    }
+/// The check that keeps the vehicle from being armed.
+fn failing(core: &Core) -> Option<ArmingCheck> {
+    core.arming_check().err().as_ref().map(check_of)
 }
 
 #[derive(Default)]
 pub(crate) struct Events {
-    seen: Option<Monitored>,
+    /// At the last look.
+    seen: Option<(Commander, Option<ArmingCheck>)>,
     /// Of the present or last flight: times since boot, 0 where it has not happened, and how often it was armed. Its fields are misnamed.
     times: FLIGHT_INFORMATION_DATA,
     kept: VecDeque<EVENT_DATA>,
@@ -75,7 +56,7 @@ impl Service for Events {
         if core.commander.armed {
             return Err(Refusal::REJECTED.saying("pre-arm checks denied: armed"));
         }
-        self.report_checks(Monitored::of(core).check, core);
+        self.report_checks(failing(core), core);
         Ok(())
     }
 
@@ -107,17 +88,12 @@ impl Service for Events {
 
 impl Events {
     fn watch(&mut self, core: &mut Core) {
-        let now = Monitored::of(core);
-        let before = self.seen.replace(now);
-        self.note_times(
-            before.is_some_and(|b| b.armed),
-            before.is_some_and(|b| !b.on_ground),
-            now,
-            core,
-        );
-        let Some(before) = before else {
+        let (now, check) = (core.commander, failing(core));
+        let seen = self.seen.replace((now, check));
+        self.note_times(&seen.map(|(before, _)| before).unwrap_or_default(), core);
+        let Some((before, check_before)) = seen else {
             // What was so from the start is no event, but a client that knows the metadata wants the checks once.
-            self.report_checks(now.check, core);
+            self.report_checks(check, core);
             return;
         };
         if now.terminated && !before.terminated {
@@ -135,26 +111,26 @@ impl Events {
                 None => self.send(FAILSAFE_ENDED, &[], core),
             }
         }
-        if now.on_ground != before.on_ground {
-            self.send(if now.on_ground { LANDED } else { TOOK_OFF }, &[], core);
+        if now.is_on_ground() != before.is_on_ground() {
+            self.send(if now.is_on_ground() { LANDED } else { TOOK_OFF }, &[], core);
         }
-        if now.check != before.check && !now.armed {
-            self.report_checks(now.check, core);
+        if check != check_before && !now.armed {
+            self.report_checks(check, core);
         }
     }
 
-    fn note_times(&mut self, was_armed: bool, was_in_air: bool, now: Monitored, core: &Core) {
-        let times = &mut self.times;
-        if now.armed && !was_armed {
+    fn note_times(&mut self, before: &Commander, core: &Core) {
+        let (times, now) = (&mut self.times, &core.commander);
+        if now.armed && !before.armed {
             *times = FLIGHT_INFORMATION_DATA {
                 arming_time_utc: core.time_boot_us(),
                 flight_uuid: times.flight_uuid + 1,
                 ..FLIGHT_INFORMATION_DATA::default()
             };
         }
-        match (was_in_air, now.on_ground) {
-            (false, false) => (times.takeoff_time_utc, times.landing_time) = (core.time_boot_us(), 0),
-            (true, true) => times.landing_time = core.time_boot_ms(),
+        match (before.is_on_ground(), now.is_on_ground()) {
+            (true, false) => (times.takeoff_time_utc, times.landing_time) = (core.time_boot_us(), 0),
+            (false, true) => times.landing_time = core.time_boot_ms(),
             _ => {}
         }
     }

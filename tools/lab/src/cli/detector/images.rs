@@ -4,7 +4,7 @@ use super::Stage;
 use super::report::{curves_png, share, short};
 use crate::cli::output::{Interrupt, Progress, git_commit, or_dash, say};
 use crate::detector_training::{
-    ImageNetwork, States, WindowScorer, gather_states, image_fit, lstm_scores, pca_scores, row,
+    FitConfig, ImageNetwork, LstmConfig, States, WindowScorer, gather_states, lstm_scores, pca_scores, row,
 };
 use crate::report::{TextTable, to_csv};
 use anyhow::{Context, Result, ensure};
@@ -81,30 +81,37 @@ impl Stage<'_> {
     }
 
     pub(super) fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {
-        let (actor, frozen) = (self.actor("table")?, self.detector(detector)?);
+        let actor = self.actor("table")?;
+        let scorer = WindowScorer::from_frozen(self.detector(detector)?);
+        let frozen = &scorer.detector;
         let load = |name| States::load(&self.path(name), actor).context("run `vigil detector images` first");
         let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
         let scored = load("images-judge.safetensors")?;
         let mut rows = Vec::new();
-        for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
-            let config = image_fit(epochs, seed);
+        for (network, paper) in [(ImageNetwork::FCN, 0.56), (ImageNetwork::CNN, 0.80)] {
+            let config = FitConfig {
+                epochs,
+                batch: 32,
+                seed,
+                ..LstmConfig::default().fit
+            };
             let steps = (learn.states.len().div_ceil(config.batch) * epochs) as u64;
             let bar = Progress::new(steps, "steps")?;
             let fitted = network.train(self.isa, (&learn, &choose), &config, &mut |step, epoch| {
                 bar.set_position(step as u64);
                 if let Some(e) = epoch {
                     let right = 100.0 * e.choose_accuracy;
-                    bar.set_message(format!("{} epoch {}: {right:.1} % right", network.name(), e.epoch));
+                    bar.set_message(format!("{} epoch {}: {right:.1} % right", network.0, e.epoch));
                 }
             })?;
             bar.finish();
-            let name = network.name().to_lowercase().replace('-', "_");
+            let name = network.0.to_lowercase().replace('-', "_");
             self.write(&format!("{name}.csv"), to_csv(&fitted.epochs))?;
             self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
             let scores = network.scores(self.isa, &fitted.params, &scored)?;
-            rows.push(row(network.name(), paper, 0.5, &scored, &scores));
+            rows.push(row(network.0, paper, 0.5, &scored, &scores));
         }
-        let lstm = lstm_scores(self.isa, &self.pilot, &WindowScorer::from_frozen(&frozen), &scored)?;
+        let lstm = lstm_scores(self.isa, &self.pilot, &scorer, &scored)?;
         rows.push(row("LSTM-AD", 0.91, frozen.threshold, &scored, &lstm));
         let pca = pca_scores(&learn, &choose, &scored);
         rows.push(row("PCA", 0.70, 1.0, &scored, &pca));

@@ -320,7 +320,7 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
             keep(format!("figures/{}.svg", item.id), svg.as_bytes())?;
             keep(format!("figures/{}.png", item.id), png)?;
         }
-        keep(format!("tables/{}.csv", item.id), made.table.csv()?.as_bytes())?;
+        keep(format!("tables/{}.csv", item.id), made.table.csv().as_bytes())?;
         items.push(Entry {
             id: item.id,
             kind: if made.figure.is_some() { "figure" } else { "table" },

@@ -2,20 +2,15 @@
 
 use super::made::Grid;
 use super::{MadeBy, Shown};
-use anyhow::Result;
+use crate::report::to_csv;
 use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("../../../../assets/reproduce/style.css");
 
 impl Grid {
     /// As comma-separated values.
-    pub fn csv(&self) -> Result<String> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        writer.write_record(&self.columns)?;
-        for row in &self.rows {
-            writer.write_record(row)?;
-        }
-        Ok(String::from_utf8(writer.into_inner()?)?)
+    pub fn csv(&self) -> String {
+        to_csv([&self.columns].into_iter().chain(&self.rows))
     }
 
     fn html(&self, out: &mut String) {
