@@ -10,7 +10,6 @@ use common::{
     undecided_detector,
 };
 use counting::allocations;
-use std::os::unix::fs::PermissionsExt;
 use vigil_detector::{FrozenDetector, Of};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::live_loop::LiveLoop;
@@ -23,6 +22,7 @@ use vigil_mavlink::framing::encode;
 use vigil_mavlink::message;
 use vigil_nnet::Purpose;
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
+use vigil_types::files::{Access, replace};
 use vigil_types::{Datagrams, DepthFrame, Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 fn counted(work: impl FnOnce()) -> u64 {
@@ -201,8 +201,7 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let key = folder.path().join("vigil.key");
-    std::fs::write(&key, [7; 32]).unwrap();
-    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o600)).unwrap();
+    replace(&key, &[7; 32], Access::Private).unwrap();
     let port = free_port();
     let mut config = config();
     config.instance = instance.0;

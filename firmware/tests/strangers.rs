@@ -113,11 +113,10 @@ struct Flight<E: End> {
 
 impl<E: End> Flight<E> {
     fn new(content: Vec<Vec<u8>>) -> Self {
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let vehicle = format!("{}://127.0.0.1:{port},system=1", E::SCHEME).parse().unwrap();
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let vehicle = format!("{}://{address},system=1", E::SCHEME).parse().unwrap();
         let gate = SigningGate::new(None, AllowUnsigned::Loopback);
         let links = RoutedLinks::open(&vehicle, &[], gate).unwrap();
-        let address = ([127, 0, 0, 1], port).into();
         Self {
             address,
             strangers: [(); STRANGERS].map(|()| None),

@@ -1,13 +1,11 @@
 //! What the guidance computer says of itself, read from its own telemetry as any ground station would.
 
 use mavlink::dialects::common::MavMessage;
+use vigil_mavlink::GUIDANCE_COMPONENT;
 use vigil_mavlink::framing::{self, FramingCounters};
 
 /// What "gd_reason" holds of the reasons; the others are in "gd_reason2".
 const LOW_BITS: u64 = (1 << 24) - 1;
-
-/// Its component.
-const GUIDANCE: u8 = 191;
 
 /// The last values heard from the guidance computer.
 #[derive(Debug, Clone, Default)]
@@ -29,7 +27,7 @@ impl CompanionView {
     pub fn observe(&mut self, datagram: &[u8]) {
         // A PX4 sends back what it hears of it, as its own and with names cut short.
         let mut counters = FramingCounters::default();
-        for packet in framing::packets(datagram, &mut counters).filter(|packet| packet.component_id() == GUIDANCE) {
+        for packet in framing::packets(datagram, &mut counters).filter(|p| p.component_id() == GUIDANCE_COMPONENT) {
             if let Ok(MavMessage::NAMED_VALUE_FLOAT(m)) = packet.message() {
                 match m.name.to_str().unwrap_or_default() {
                     "gd_state" => self.state_code = Some(m.value as u8),

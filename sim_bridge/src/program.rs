@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::Duration;
 use vigil_autopilot::{ConfigError, EndpointConfig, LinkId, LinkRole};
-use vigil_io::clock::{monotonic_ns, sleep_until};
+use vigil_io::clock::{monotonic_ns, sleep_until, unix_us_at_zero};
 use vigil_io::key_file::frame_key;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{
@@ -207,13 +207,11 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
         // In lockstep nobody else is on the link, and the flight must not depend on the instance.
         let extra = args.links.link.iter().map(|_| LinkRole::Gcs);
         let started_ns = monotonic_ns();
-        // 0 on a machine whose clock is before 1970.
-        let unix_us = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_micros() as u64);
         config.endpoint = EndpointConfig {
             system_id: (args.instance + 1) as u8,
             links: LinkRole::ALL.into_iter().chain(extra).collect(),
             // The machine's time, on the clock that the endpoint's steps have.
-            unix_time_at_zero_us: unix_us.saturating_sub(started_ns / 1000),
+            unix_time_at_zero_us: unix_us_at_zero(started_ns),
             started_ns,
             ..EndpointConfig::default()
         };

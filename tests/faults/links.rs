@@ -131,8 +131,8 @@ fn keep_sending(attack: Attack, system: u8, ends: [u16; 5], over: &AtomicBool, s
     let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
         return;
     };
-    let [mut holder, mut stranger] =
-        [KEY, OTHER_KEY].map(|key| Signing::new(SigningKey(key), 7, SigningMemory::default()));
+    let [mut holder, mut stranger, mut captor] =
+        [KEY, OTHER_KEY, KEY].map(|key| Signing::new(SigningKey(key), 7, SigningMemory::default()));
     let land = |target_system, target_component| {
         message!(
             COMMAND_LONG,
@@ -144,7 +144,6 @@ fn keep_sending(attack: Attack, system: u8, ends: [u16; 5], over: &AtomicBool, s
     let setup = |key| message!(SETUP_SIGNING, target_system = 0, target_component = 0, secret_key = key);
     let mut draw = Draw::new(7);
     // An hour ago.
-    let mut captor = Signing::new(SigningKey(KEY), 7, SigningMemory::default());
     let captured = sign(&mut captor, -3600, &packet((255, 190), 0, &land(system, 0)));
     let mut next = |number: u64| {
         let say = |message: &MavMessage| packet((255, 190), number as u8, message);

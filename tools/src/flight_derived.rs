@@ -129,8 +129,8 @@ impl ExplainedReplay {
     fn with(reader: &Reader, explains: bool) -> Result<Self> {
         let firmware = Some(firmware_of(reader)?);
         // Understood before: the stack was made of it.
-        let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(anyhow::Error::msg)?;
-        let actor = if explains { config.frozen_actor()? } else { None };
+        let config = || FirmwareConfig::from_toml(&reader.info().config_toml).map_err(anyhow::Error::msg);
+        let actor = if explains { config()?.frozen_actor()? } else { None };
         let explainer = actor.map(|actor| PixelExplainer::new(Isa::detect(), &actor));
         Ok(Self {
             firmware,

@@ -11,6 +11,14 @@ pub fn monotonic_ns() -> Nanos {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
+/// Microseconds since 1970 at zero of [`monotonic_ns`], which is `now_ns` now; 0 on a machine whose clock is before 1970.
+pub fn unix_us_at_zero(now_ns: Nanos) -> u64 {
+    let unix_us = std::time::UNIX_EPOCH
+        .elapsed()
+        .map_or(0, |since| since.as_micros() as u64);
+    unix_us.saturating_sub(now_ns / 1000)
+}
+
 /// Sleeps until `deadline_ns` of [`monotonic_ns`]; signals do not shorten it.
 pub fn sleep_until(deadline_ns: Nanos) {
     let deadline = Timespec {

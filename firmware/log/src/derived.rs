@@ -45,8 +45,7 @@ impl DerivedLog {
             (topic::WAY, "foxglove.PosesInFrame"),
             (topic::SHAP, "foxglove.RawImage"),
         ];
-        let folder = log.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let sink = tempfile::tempfile_in(folder.unwrap_or(Path::new(".")));
+        let sink = tempfile::tempfile_in(vigil_types::files::folder_of(log));
         SideFile::new(log, sink, &kinds).map(|file| Self { file })
     }
 

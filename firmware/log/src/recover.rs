@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-use vigil_types::files::{at, sync_folder};
+use vigil_types::files::{at, folder_of, sync_folder};
 use vigil_types::{Nanos, STEP_S};
 
 /// Why a log could not be recovered.
@@ -145,8 +145,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
         return Err(exists());
     }
     // Half a copy would be read as a whole log: it has its name once it is whole.
-    let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let folder = folder.unwrap_or(Path::new("."));
+    let folder = folder_of(to);
     let beside = tempfile::Builder::new()
         .prefix(".vigil-recover.")
         .make_in(folder, |path| File::create_new(path))

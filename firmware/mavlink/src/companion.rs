@@ -16,6 +16,9 @@ use vigil_types::{
     StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
 };
 
+/// MAV_COMP_ID_ONBOARD_COMPUTER, which the guidance computer has.
+pub const GUIDANCE_COMPONENT: u8 = 191;
+
 /// Identity and vehicle of the guidance computer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CompanionConfig {
@@ -42,8 +45,7 @@ impl Default for CompanionConfig {
     fn default() -> Self {
         Self {
             system_id: None,
-            // MAV_COMP_ID_ONBOARD_COMPUTER
-            component_id: 191,
+            component_id: GUIDANCE_COMPONENT,
             flavour: None,
             obstacles: ObstacleReports::default(),
             setpoint_timeout_s: Some(parameters::SETPOINT_TIMEOUT.number_f32()),

@@ -49,7 +49,7 @@ mod velocity_error;
 
 pub use self::core::Allowance;
 pub use autopilot::Flavour;
-pub use companion::{Companion, CompanionConfig, LinkCounters};
+pub use companion::{Companion, CompanionConfig, GUIDANCE_COMPONENT, LinkCounters};
 pub use mavlink;
 pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};

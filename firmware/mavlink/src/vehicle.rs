@@ -362,9 +362,7 @@ impl Vehicle {
     /// better, and in the air the ground stays where it was.
     fn home_down_m(&self, before: Option<NedVector>) -> Option<f32> {
         let reported = self.reported_home_ned_m()?;
-        let is_armed = self.telemetry.heartbeat.is_some_and(|heartbeat| heartbeat.armed);
-        let stands = !is_armed || self.telemetry.landed == Landed::OnGround;
-        let (at, within_m, (least_m, most_m)) = if stands {
+        let (at, within_m, (least_m, most_m)) = if self.telemetry.stands() {
             (
                 self.telemetry.kinematics?.position_ned_m,
                 AT_HOME_M,

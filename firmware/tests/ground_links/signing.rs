@@ -1,6 +1,7 @@
 //! Signing keys: the first one, another one, and policies of links.
 
 use super::*;
+use vigil_types::files::{Access, replace};
 
 /// A configuration that keeps its state there.
 fn with_state(folder: &Path) -> FirmwareConfig {
@@ -91,8 +92,7 @@ fn a_first_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_an
 /// A configuration whose key is in a file of the user's own.
 fn with_key(folder: &Path, key: [u8; 32]) -> (FirmwareConfig, PathBuf) {
     let path = folder.join("vigil.key");
-    std::fs::write(&path, key).unwrap();
-    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    replace(&path, &key, Access::Private).unwrap();
     let mut config = FirmwareConfig::default();
     config.signing.key_file = Some(path.clone());
     (config, path)

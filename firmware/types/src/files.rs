@@ -126,12 +126,17 @@ pub fn sync_folder(folder: &Path) -> io::Result<()> {
     }
 }
 
+/// The folder that a file is in; `.` where its path names none.
+pub fn folder_of(path: &Path) -> &Path {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
+}
+
 fn place(path: &Path) -> io::Result<(&Path, &std::ffi::OsStr)> {
     let name = path
         .file_name()
         .ok_or_else(|| io::Error::new(ErrorKind::InvalidInput, "it has no file name"))?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    Ok((folder.unwrap_or(Path::new(".")), name))
+    Ok((folder_of(path), name))
 }
 
 /// Opens a regular file for reading. Never waits for the other end of a FIFO, and never reads a device.

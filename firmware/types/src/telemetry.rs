@@ -141,6 +141,11 @@ impl VehicleTelemetry {
         }
     }
 
+    /// Whether the vehicle certainly stands: it is not armed, or says that it is on the ground.
+    pub fn stands(&self) -> bool {
+        !self.heartbeat.is_some_and(|heartbeat| heartbeat.armed) || self.landed == Landed::OnGround
+    }
+
     /// Age of the oldest of heartbeat-independent flight data (position and attitude), or `None` if any was never received.
     pub fn flight_data_age_ns(&self, now_ns: Nanos) -> Option<Nanos> {
         let oldest = self.kinematics?.at_ns.min(self.attitude?.at_ns);

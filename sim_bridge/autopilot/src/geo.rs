@@ -10,6 +10,11 @@ pub const ORIGIN: Origin = Origin {
     altitude_m: 488.0,
 };
 
+/// Height above home of an altitude above sea level.
+pub(crate) fn height_m(altitude_m: f32) -> f32 {
+    (f64::from(altitude_m) - ORIGIN.altitude_m) as f32
+}
+
 /// Degrees as MAVLink sends them: in units of 1e-7.
 pub(crate) fn deg_e7(deg: f64) -> i32 {
     libm::round(deg * 1e7) as i32

@@ -7,7 +7,7 @@ use crate::world::{Course, LidarConfig, LidarConfigError, Referee, Shot, World};
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
-use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Landed, Nanos, NedVector, named};
+use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, named};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
@@ -248,10 +248,8 @@ impl ForeignFlight {
             return;
         };
         let position_ned_m = motion.position_ned_m;
-        // Before home is known an estimate's height may be anything: one that is not armed, or says that it stands, does not fly.
-        let telemetry = &self.vehicle.telemetry;
-        let may_fly = telemetry.heartbeat.is_some_and(|h| h.armed) && telemetry.landed != Landed::OnGround;
-        let lifts_off = may_fly && -position_ned_m.z >= LIFT_OFF_M;
+        // Before home is known an estimate's height may be anything: one that stands does not fly.
+        let lifts_off = !self.vehicle.telemetry.stands() && -position_ned_m.z >= LIFT_OFF_M;
         if !self.has_lifted_off() && !lifts_off {
             return;
         }

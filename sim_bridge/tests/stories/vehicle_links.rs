@@ -2,7 +2,6 @@
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream, UdpSocket};
-use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::time::Duration;
 use vigil_autopilot::{Endpoint, EndpointConfig, LinkId, SigningSetup};
@@ -11,6 +10,7 @@ use vigil_mavlink::message;
 use vigil_mavlink::signing::{Signing, SigningKey, SigningMemory, Timestamp, timestamp_of_unix_ns};
 use vigil_sim::vehicle_links::{LinksConfig, VehicleLinks};
 use vigil_types::Nanos;
+use vigil_types::files::{Access, replace};
 
 const SECOND: Nanos = 1_000_000_000;
 const KEY: [u8; 32] = [3; 32];
@@ -24,8 +24,7 @@ fn packet(number: u32) -> Vec<u8> {
 /// A file with the key.
 fn key_file(folder: &tempfile::TempDir) -> PathBuf {
     let file = folder.path().join("vigil.key");
-    std::fs::write(&file, KEY).unwrap();
-    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    replace(&file, &KEY, Access::Private).unwrap();
     file
 }
 

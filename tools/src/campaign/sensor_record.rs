@@ -98,7 +98,10 @@ impl FaultChoice {
                 let all = SensorFaultMode::ALL.map(|mode| SensorFault { mode, ..first });
                 (first.to_string().replacen("zeros", "all", 1), all.into())
             }
-            None => (text.parse::<SensorFault>()?.to_string(), vec![text.parse()?]),
+            None => {
+                let fault: SensorFault = text.parse()?;
+                (fault.to_string(), vec![fault])
+            }
         };
         Ok(Self { name, faults })
     }

@@ -8,9 +8,9 @@ use crate::sensor_check::SensorCheck;
 use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use vigil_firmware::arguments::choice;
-use vigil_io::clock::monotonic_ns;
+use vigil_io::clock::{monotonic_ns, unix_us_at_zero};
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::links::{LinkAdmission, PeerRule, open_wire, somebody_is_heard};
@@ -92,9 +92,6 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     let mut frames = (!args.no_sensor).then(frames).transpose()?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let started_ns = monotonic_ns();
-    let unix_us = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |d| d.as_micros() as u64);
     let mut examination = Examination::new(
         ExaminationConfig {
             flavour: match args.vehicle {
@@ -105,7 +102,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
             system,
             is_local: args.link.url.is_on_this_machine(),
             has_key: gate.has_key(),
-            unix_time_at_zero_us: unix_us.saturating_sub(started_ns / 1000),
+            unix_time_at_zero_us: unix_us_at_zero(started_ns),
         },
         started_ns,
     );

@@ -1,5 +1,6 @@
 //! How the depth sensor is mounted, by the ground that it sees.
 
+use crate::sensor_check::median;
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrdVector, NedVector, column_bearing_rad, row_elevation_rad};
 
 /// Rows that look down enough to see the ground near the vehicle, and every how manieth pixel is taken.
@@ -57,9 +58,7 @@ pub fn ground_tilt(frame: &DepthFrame) -> Option<GroundTilt> {
     let seen = points.len();
     for _ in 0..4 {
         let off = |p: &[f32; 3]| (p[2] - (plane[0] * p[0] + plane[1] * p[1] + plane[2])).abs();
-        let mut distances: Vec<f32> = points.iter().map(off).collect();
-        distances.sort_by(f32::total_cmp);
-        let allowed_m = (2.0 * distances[distances.len() / 2]).max(OFF_PLANE_M);
+        let allowed_m = (2.0 * median(points.iter().map(off).collect())?).max(OFF_PLANE_M);
         let near: Vec<[f32; 3]> = points.iter().copied().filter(|p| off(p) <= allowed_m).collect();
         plane = fit(&near)?;
         points = near;

@@ -7,13 +7,12 @@ use crate::flight::setpoint_owner::Setpoints;
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, LostSensors, Maneuver, Sticks};
 use crate::vehicle::{ControlCommand, Goal, YawCommand};
 use crate::vehicle_parameters::ParamId;
+use vigil_mavlink::GUIDANCE_COMPONENT;
 use vigil_mavlink::common::{
     CURRENT_MODE_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, HOME_POSITION_DATA, MavSeverity, NAMED_VALUE_FLOAT_DATA,
 };
 use vigil_types::{Nanos, NedVector};
 
-/// MAV_COMP_ID_ONBOARD_COMPUTER, which the guidance computer has.
-const GUIDANCE_COMPONENT: u8 = 191;
 /// Contact that lasts this long is "on the ground"; a bounce is not.
 const LANDED_AFTER_NS: Nanos = 300_000_000;
 /// How long the position is known without GPS; PX4's EKF2_NOAID_TOUT.

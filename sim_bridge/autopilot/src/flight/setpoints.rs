@@ -150,7 +150,7 @@ pub(crate) fn global_setpoint(
     let place = PositionMask::from_bits_retain(0x007);
     let is_placed = !m.type_mask.intersects(place);
     let height_m = match m.coordinate_frame {
-        MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - geo::ORIGIN.altitude_m) as f32,
+        MavFrame::MAV_FRAME_GLOBAL_INT => geo::height_m(m.alt),
         MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT | MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT => m.alt,
         other if is_placed => return Err(SetpointDefect::Frame(other as u8)),
         _ => 0.0,

@@ -168,7 +168,7 @@ impl PlanItem {
         let height_m = if matches!(self.frame, 3 | 6) {
             self.z
         } else {
-            (f64::from(self.z) - geo::ORIGIN.altitude_m) as f32
+            geo::height_m(self.z)
         };
         if height_m.abs() > MAX_HEIGHT_M {
             return Err(PlanDefect::of_parameter(7, "height beyond 500 m"));

@@ -4,7 +4,7 @@
 
 use crate::core::padded;
 use crate::flight::{Facing, FlightMode, Orbit};
-use crate::geo;
+use crate::geo::{self, height_m};
 use crate::plan::mission::{
     DO_SET_ROI, DO_SET_ROI_LOCATION, DO_SET_ROI_NONE, NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_ROI, NAV_TAKEOFF,
     ROI_LOCATION,
@@ -101,11 +101,6 @@ fn check_frame(frame: u8) -> Answer {
     GLOBAL_FRAMES.contains(&frame).then_some(()).ok_or_else(text)
 }
 
-/// Height above home of a command's altitude. PX4 reads it above sea level whatever the frame says.
-fn height_m(altitude_m: f32) -> f32 {
-    (f64::from(altitude_m) - geo::ORIGIN.altitude_m) as f32
-}
-
 fn too_far() -> Refusal {
     Refusal::DENIED.saying("denied: too far from home")
 }
@@ -148,7 +143,8 @@ pub(super) fn to_local((lat, lon): (f64, f64)) -> Result<(f32, f32), Refusal> {
         .ok_or_else(refusal)
 }
 
-/// The place of parameters 5 and 6 in a global frame, its height above home given; `None` is the vehicle's.
+/// The place of parameters 5 and 6 in a global frame, its height above home given; `None` is the vehicle's. PX4 reads a command's altitude
+/// above sea level whatever the frame says.
 fn place(command: &Command, height_m: Option<f32>, core: &Core) -> Result<NedVector, Refusal> {
     check_frame(command.frame())?;
     height_m.map_or(Ok(()), check_height)?;

@@ -5,13 +5,13 @@ use vigil_types::settings::{self, Outside, Section};
 
 /// A vehicle parameter that no vehicle can have.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("vehicle parameter `{0}")]
-pub struct ParamsError(String);
+#[error("vehicle parameter `{0}` is {1}; it must be {2}")]
+pub struct ParamsError(String, f64, String);
 
 /// The first number that is not finite or out of range, by its path, its value and what is accepted.
 fn check<S: Section + Clone>(settings: &S, path: &str) -> Result<(), ParamsError> {
-    let error = |Outside { key, value, range }| format!("{path}{key}` is {value}; it must be from {range}");
-    settings::check(settings).map_err(|outside| ParamsError(error(outside)))
+    let error = |Outside { key, value, range }| ParamsError(format!("{path}{key}"), value, format!("from {range}"));
+    settings::check(settings).map_err(error)
 }
 
 impl VehicleParams {
@@ -77,7 +77,7 @@ impl VehicleParams {
             .into_iter()
             .find(|(_, value, (low, high), _)| !(low..=high).contains(&value))
         {
-            Some((field, value, _, must_be)) => Err(ParamsError(format!("{field}` is {value}; it must be {must_be}"))),
+            Some((field, value, _, must_be)) => Err(ParamsError(field.to_owned(), value, must_be.to_owned())),
             None => Ok(()),
         }
     }

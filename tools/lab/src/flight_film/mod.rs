@@ -12,7 +12,7 @@ pub use encode::{Gif, Video};
 use picture::{Canvas, Colour, span};
 use std::path::Path;
 use third_person::{Seen, Stage};
-use vigil_log::{LogEnd, Reader, SHAP_COLS, SceneSolid, TickRecord};
+use vigil_log::{LogEnd, Reader, SHAP_COLS, TickRecord};
 use vigil_types::{Alarm, DEPTH_COLS, DEPTH_ROWS, GuidanceState, Judgement, NedVector};
 
 /// Size of the film, pixels; even, as an mp4 needs it.
@@ -220,10 +220,9 @@ impl Scene {
             .iter()
             .filter_map(|s| s.report.telemetry.kinematics);
         let mut points: Vec<(f32, f32)> = positions.map(|k| (k.position_ned_m.x, k.position_ned_m.y)).collect();
-        points.extend(log.story.solids.iter().map(|solid| match solid {
-            SceneSolid::Cuboid { centre_ned_m, .. } | SceneSolid::Cylinder { centre_ned_m, .. } => {
-                (centre_ned_m[0], centre_ned_m[1])
-            }
+        points.extend(log.story.solids.iter().map(|solid| {
+            let ([north, east, _], ..) = solid.parts();
+            (north, east)
         }));
         points.extend(log.goal_ned_m().map(|g| (g.x, g.y)));
         points.retain(|(n, e)| n.is_finite() && e.is_finite());

@@ -46,18 +46,7 @@ struct Block {
 
 impl Block {
     fn of(solid: &SceneSolid) -> Self {
-        let (centre, half, yaw_rad) = match *solid {
-            SceneSolid::Cuboid {
-                centre_ned_m,
-                half_extents_m,
-                yaw_rad,
-            } => (centre_ned_m, half_extents_m, yaw_rad),
-            SceneSolid::Cylinder {
-                centre_ned_m,
-                radius_m,
-                half_height_m,
-            } => (centre_ned_m, [radius_m, radius_m, half_height_m], 0.0),
-        };
+        let (centre, half, yaw_rad) = solid.parts();
         Self {
             centre,
             half,

@@ -152,11 +152,12 @@ fn print_flights(flights: &[&Flight], is_attacked: bool) {
 /// The first seeds that failed, to be flown again.
 fn print_failed(flights: &[&Flight]) {
     const SHOWN: usize = 12;
-    let failed = flights.iter().filter(|f| !f.record.is_success());
-    let mut failed: Vec<String> = failed.map(|f| f.seed.to_string()).collect();
     // With all faults a seed may fail several times, each in its turn.
     let mut known = BTreeSet::new();
-    failed.retain(|seed| known.insert(seed.clone()));
+    let failed = flights
+        .iter()
+        .filter(|f| !f.record.is_success() && known.insert(f.seed));
+    let failed: Vec<String> = failed.map(|f| f.seed.to_string()).collect();
     if !failed.is_empty() {
         let more = if failed.len() > SHOWN { " …" } else { "" };
         say!("failed seeds     {}{more}", failed[..failed.len().min(SHOWN)].join(" "));
