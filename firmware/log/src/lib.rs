@@ -53,7 +53,7 @@ pub use log_file::LOG_FORMAT;
 pub use reader::{Damage, LogEnd, ReadError, Reader};
 pub use record::TickRecord;
 pub use recorder::{LogPlace, Recorder, RecorderConfig, StartError, Summary, WhenFull, epoch_offset_ns};
-pub use recover::{Gap, RecoverError, Recovery, recover};
+pub use recover::{Gap, RecoverError, Recovery, recover, recover_until};
 pub use scene::{Scene, SceneError, SceneSolid};
 pub use side::{SideError, SideLog, merge_derived, merge_into};
 pub use story::{AttackMark, CleanFrame, Line, Story};

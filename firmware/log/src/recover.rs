@@ -10,6 +10,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_types::files::{at, folder_of, sync_folder};
 use vigil_types::{Nanos, STEP_S};
 
@@ -35,6 +36,9 @@ pub enum RecoverError {
     /// The new file is already there; nothing was touched.
     #[error("{0} already exists and is kept; give another name")]
     Exists(PathBuf),
+    /// Whoever asked for it stopped it.
+    #[error("interrupted; nothing was written")]
+    Interrupted,
     /// The new file cannot be written.
     #[error("{} cannot be written: {}", .0.display(), crate::recorder::describe(.1))]
     Write(PathBuf, McapError),
@@ -122,6 +126,14 @@ impl std::fmt::Display for Recovery {
 /// # Errors
 /// [`RecoverError`] when `from` is no log or holds no whole record, or when `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
+    recover_until(from, to, &AtomicBool::new(false))
+}
+
+/// The same, unless it is to stop before it is done.
+///
+/// # Errors
+/// Those of [`recover`]; [`RecoverError::Interrupted`] when it was stopped: nothing is left of the copy.
+pub fn recover_until(from: &Path, to: &Path, stop: &AtomicBool) -> Result<Recovery, RecoverError> {
     let opened = match Reader::open(from) {
         Err(error @ (ReadError::Io(_) | ReadError::NotMcap(_, Some(_)))) => return Err(error.into()),
         // One that lies in another file, as in an archive of several, is not that file.
@@ -150,7 +162,11 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
         .prefix(".vigil-recover.")
         .make_in(folder, |path| File::create_new(path))
         .map_err(|error| unwritable(error.into()))?;
-    let copied = copy(from, &description, beside.as_file()).map_err(unwritable)?;
+    let failed = |error| match stop.load(Ordering::Relaxed) {
+        true => RecoverError::Interrupted,
+        false => unwritable(error),
+    };
+    let copied = copy(from, &description, beside.as_file(), stop).map_err(failed)?;
     if copied.records == 0 {
         let compression = description.unknown_compression.clone();
         return Err(RecoverError::Nothing(from.to_owned(), compression));
@@ -166,7 +182,12 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
     Ok(recovery)
 }
 
-fn copy<'a>(from: &Path, description: &salvage::Description, to: &'a File) -> Result<Copy<'a>, McapError> {
+fn copy<'a>(
+    from: &Path,
+    description: &salvage::Description,
+    to: &'a File,
+    stop: &AtomicBool,
+) -> Result<Copy<'a>, McapError> {
     let of = |topic: &str| description.channels.values().find(|channel| channel.topic == topic);
     let number = |topic| of(topic).map(|channel| channel.id);
     let mut copy = Copy {
@@ -209,6 +230,7 @@ fn copy<'a>(from: &Path, description: &salvage::Description, to: &'a File) -> Re
         )?;
     }
     salvage::walk(from, &mut |piece| match piece {
+        _ if stop.load(Ordering::Relaxed) => Err(io::Error::from(io::ErrorKind::Interrupted).into()),
         Record::Message { header, data } => copy.take(header, data.into_owned()),
         Record::Metadata(metadata) if metadata.name == META_END => {
             let number = |key: &str| metadata.metadata.get(key).and_then(|text| text.parse().ok());

@@ -6,7 +6,7 @@ use common::{Draw, bits, drawn, lockstep};
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use vigil_log::{LogEnd, LogPlace, Reader, Recorder};
+use vigil_log::{LogEnd, LogPlace, Reader, Recorder, RecoverError, recover_until};
 
 const CHILD: &str = "VIGIL_LOG_KILLED_CHILD";
 const FLUSHED: &str = "flushed ";
@@ -54,6 +54,12 @@ fn a_killed_process_leaves_a_log_that_is_read_up_to_the_last_flush() {
         note.contains("not closed") && note.contains(&recovered.to_string()),
         "{note}"
     );
+    // Whoever stops its recovery finds nothing of it.
+    let copies = tempfile::tempdir().unwrap();
+    let copy = |stop: bool| recover_until(&path, &copies.path().join("copy.mcap"), &stop.into());
+    assert!(matches!(copy(true), Err(RecoverError::Interrupted)));
+    assert_eq!(std::fs::read_dir(copies.path()).unwrap().count(), 0);
+    assert_eq!(copy(false).unwrap().records, recovered);
     // The tlog is cut at most within its last packet.
     assert!(std::fs::metadata(path.with_extension("tlog")).unwrap().len() > 0);
 }

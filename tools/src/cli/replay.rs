@@ -1,11 +1,11 @@
 //! `vigil replay`, which asks whether the tick gives the same bytes again, and `vigil recover`, which copies a log that was not closed or
 //! is damaged.
 
-use crate::cli::output::{Paint, checked, say};
+use crate::cli::output::{Interrupt, Paint, checked, say, tell};
 use anyhow::{Context, Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_log::Reader;
+use vigil_log::{Reader, RecoverError};
 
 /// Arguments of `vigil replay`.
 #[derive(Debug, Clone, clap::Args)]
@@ -55,8 +55,15 @@ pub struct RecoverArgs {
 /// # Errors
 /// A log that is missing or unreadable, a copy that exists or cannot be written.
 pub fn recover(args: &RecoverArgs) -> Result<ExitCode> {
-    let recovery = vigil_log::recover(&args.from, &args.to)?;
-    say!("{}: {recovery}", args.to.display());
+    let interrupt = Interrupt::on_ctrl_c()?;
+    match vigil_log::recover_until(&args.from, &args.to, interrupt.flag()) {
+        Ok(recovery) => say!("{}: {recovery}", args.to.display()),
+        Err(interrupted @ RecoverError::Interrupted) => {
+            tell!("{interrupted}");
+            return Ok(interrupt.exit_code());
+        }
+        Err(error) => return Err(error.into()),
+    }
     Ok(ExitCode::SUCCESS)
 }
 
