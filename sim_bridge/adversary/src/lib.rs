@@ -47,4 +47,4 @@ pub use intercept::{Interceptor, PassedStep, goal_seen_from};
 pub use policy_attack::PolicyAttack;
 pub use state_attack::StateAttack;
 pub use stream_attack::StreamAttack;
-pub use surrogate::Beside;
+pub use surrogate::{Beside, Evaluated};

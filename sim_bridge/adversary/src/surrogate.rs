@@ -20,8 +20,9 @@ pub(crate) trait Surrogate {
 
 /// A network with its values, forwards and back.
 #[derive(Debug, Clone)]
-pub(crate) struct Evaluated {
+pub struct Evaluated {
     isa: Isa,
+    /// The network.
     pub graph: Graph,
     params: Aligned,
     packed: Aligned,
@@ -30,6 +31,10 @@ pub(crate) struct Evaluated {
 }
 
 impl Evaluated {
+    /// One that has computed nothing yet.
+    ///
+    /// # Errors
+    /// Parameters of another length.
     pub fn new(isa: Isa, graph: Graph, params: &[f32]) -> Result<Self, ShapeError> {
         let mut packed = Aligned::zeros(graph.param_len());
         graph.pack(params, &mut packed)?;
@@ -44,6 +49,9 @@ impl Evaluated {
     }
 
     /// The first outputs.
+    ///
+    /// # Errors
+    /// Inputs of other lengths.
     pub fn outputs<const N: usize>(&mut self, inputs: &[&[f32]]) -> Result<[f32; N], ShapeError> {
         self.graph.forward(self.isa, &self.params, inputs, &mut self.tape)?;
         let mut first = [0.0; N];
@@ -54,6 +62,9 @@ impl Evaluated {
     }
 
     /// Gradient of `d · outputs`, as last computed, at an input.
+    ///
+    /// # Errors
+    /// Another number of outputs, or no such input.
     pub fn gradient(&mut self, d: &[f32], input: usize) -> Result<&[f32], ShapeError> {
         self.graph
             .backward(self.isa, &self.packed, &self.tape, d, None, &mut self.work)?;

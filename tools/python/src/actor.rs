@@ -4,6 +4,7 @@ use crate::given::{Floats, array, at_moment, failed, frames, refused, values};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use std::path::PathBuf;
+use vigil_adversary::Evaluated;
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::ACTOR_OUTPUTS;
 use vigil_policy::imported::Network;
@@ -117,34 +118,6 @@ pub struct Policy {
     unsaturated: Evaluated,
 }
 
-/// A network with its values, forwards and back.
-struct Evaluated {
-    graph: Graph,
-    packed: Vec<f32>,
-    tape: Vec<f32>,
-    work: Vec<f32>,
-}
-
-impl Evaluated {
-    fn new(network: &Network, params: &[f32]) -> PyResult<Self> {
-        let graph = network.graph(Purpose::Gradients).map_err(refused)?;
-        let mut packed = vec![0.0; graph.param_len()];
-        graph.pack(params, &mut packed).map_err(refused)?;
-        Ok(Self {
-            tape: vec![0.0; graph.tape_len()],
-            work: vec![0.0; graph.work_len()],
-            packed,
-            graph,
-        })
-    }
-
-    fn forward(&mut self, params: &[f32], inputs: &[PyReadonlyArrayDyn<'_, f32>]) -> PyResult<&[f32]> {
-        let slices = own_inputs(&self.graph, inputs)?;
-        let forward = self.graph.forward(Isa::detect(), params, &slices, &mut self.tape);
-        forward.and_then(|()| self.graph.output(&self.tape)).map_err(failed)
-    }
-}
-
 /// Either.
 #[derive(FromPyObject)]
 pub enum Learned<'py> {
@@ -170,10 +143,14 @@ impl Policy {
     fn new(path: PathBuf) -> PyResult<Self> {
         let frozen = FrozenPolicy::load(&path).map_err(refused)?;
         let params = &frozen.params;
+        let evaluated = |network: &Network| {
+            let graph = network.graph(Purpose::Gradients).map_err(refused)?;
+            Evaluated::new(Isa::detect(), graph, params).map_err(refused)
+        };
         Ok(Self {
             pilot: frozen.pilot(Isa::detect()).map_err(refused)?,
-            network: Evaluated::new(&frozen.network, params)?,
-            unsaturated: Evaluated::new(&frozen.network.unsaturated(params), params)?,
+            network: evaluated(&frozen.network)?,
+            unsaturated: evaluated(&frozen.network.unsaturated(params))?,
             frozen,
         })
     }
@@ -225,7 +202,9 @@ impl Policy {
 
     /// The network's outputs for its own inputs.
     fn forward<'py>(&mut self, py: Python<'py>, inputs: Vec<PyReadonlyArrayDyn<'py, f32>>) -> PyResult<Floats<'py>> {
-        Ok(array(py, self.network.forward(&self.frozen.params, &inputs)?.to_vec()))
+        let inputs = own_inputs(&self.network.graph, &inputs)?;
+        let outputs: [f32; ACTOR_OUTPUTS] = self.network.outputs(&inputs).map_err(failed)?;
+        Ok(array(py, outputs.to_vec()))
     }
 
     /// Gradient of the outputs, weighted, at its own frame; of what the outputs are before they saturate, where that is wanted.
@@ -241,15 +220,9 @@ impl Policy {
         } else {
             &mut self.network
         };
-        network.forward(&self.frozen.params, &inputs)?;
-        let Evaluated {
-            graph,
-            packed,
-            tape,
-            work,
-        } = network;
-        let backward = graph.backward(Isa::detect(), packed, tape, &weights, None, work);
-        let gradient = backward.and_then(|()| graph.input_gradient(work, self.frozen.inputs.frame_input));
+        let inputs = own_inputs(&network.graph, &inputs)?;
+        let looked: Result<[f32; ACTOR_OUTPUTS], _> = network.outputs(&inputs);
+        let gradient = looked.and_then(|_| network.gradient(&weights, self.frozen.inputs.frame_input));
         Ok(array(py, gradient.map_err(failed)?.to_vec()))
     }
 
