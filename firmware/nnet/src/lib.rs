@@ -57,6 +57,7 @@ pub mod train;
 pub use activation::{Activation, RESCALE_THRESHOLD};
 pub use aligned::Aligned;
 pub use conv::Conv2d;
+pub use conv::chain::ConvChain;
 pub use dense::Dense;
 pub use elementwise::Function;
 pub use graph::{Graph, GraphBuilder, NodeId, Params, Purpose};

@@ -5,8 +5,8 @@ mod common;
 
 use common::*;
 use vigil_nnet::{
-    Activation, BatchNorm, Conv2d, Dense, GraphBuilder, Gru, Isa, LayerNorm, Lstm, MaxPool2d, NodeId, Params, Purpose,
-    ShapeError,
+    Activation, BatchNorm, Conv2d, ConvChain, Dense, GraphBuilder, Gru, Isa, LayerNorm, Lstm, MaxPool2d, NodeId,
+    Params, Purpose, ShapeError,
 };
 
 type Build<'a> = dyn Fn(&mut GraphBuilder, &[NodeId], Params) -> Result<NodeId, ShapeError> + 'a;
@@ -144,6 +144,51 @@ fn convolutions_of_many_shapes_match_their_definition() {
             &|b, x, p| b.conv2d(x[0], layer, act, p),
             &|p, x| conv2d(layer, act, p, x[0]),
         );
+    }
+}
+
+/// Row by row, and twice, so that nothing of the image before is left; kernels smaller than the stride, and no padding, among them.
+#[test]
+fn a_chain_of_convolutions_gives_what_its_layers_give_one_after_the_other() {
+    let filters_kernel_stride_padding = [
+        vec![(16, 5, 2, 2), (16, 3, 2, 1), (32, 3, 2, 1), (32, 3, 2, 1)],
+        vec![(3, 3, 1, 1), (5, 4, 3, 0), (2, 1, 2, 0)],
+        vec![(4, 2, 3, 1), (19, 3, 1, 2)],
+        vec![(2, 6, 5, 5)],
+    ];
+    for (layers, isa) in filters_kernel_stride_padding
+        .iter()
+        .flat_map(|layers| Isa::available().map(move |isa| (layers, isa)))
+    {
+        let mut b = GraphBuilder::new();
+        let (mut shape, mut chain) = ([33, 41, 2], Vec::new());
+        let mut node = b.input(shape.iter().product(), false).unwrap();
+        node = b.activation(node, Activation::NEAR_CONTRAST).unwrap();
+        for (filters, kernel, stride, padding) in layers {
+            let layer = Conv2d::new(shape, *filters, *kernel, *stride, *padding);
+            let params = b.params(layer.param_len());
+            node = b.conv2d(node, layer, Activation::Elu, params).unwrap();
+            chain.push((layer, Activation::Elu, params));
+            shape = [layer.out_rows(), layer.out_cols(), *filters];
+        }
+        let graph = b.finish(node, Purpose::Gradients).unwrap();
+        let mut by_rows = ConvChain::new(Activation::NEAR_CONTRAST, &chain).unwrap();
+        let mut rng = rng(3);
+        let params = uniform(&mut rng, graph.param_len(), 0.3);
+        let mut tape = vec![0.0; graph.tape_len()];
+        for _ in 0..2 {
+            let image: Vec<f32> = uniform(&mut rng, 33 * 41 * 2, 1.0).iter().map(|x| x.abs()).collect();
+            graph.forward(isa, &params, &[&image], &mut tape).unwrap();
+            let got = by_rows.forward(isa, &params, &image).unwrap();
+            assert!(got == graph.output(&tape).unwrap(), "{layers:?} with {isa}");
+        }
+        assert!(
+            by_rows.forward(isa, &params, &[0.0; 5]).is_err()
+                && by_rows.forward(isa, &[], &[0.0; 33 * 41 * 2]).is_err()
+        );
+        chain.push(chain[0]);
+        assert!(chain.len() < 3 || ConvChain::new(Activation::Identity, &chain).is_err());
+        assert!(ConvChain::new(Activation::Identity, &[]).is_err());
     }
 }
 

@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose};
 use vigil_policy::PilotInput;
-use vigil_policy::actor::{Actor, ActorSpec};
+use vigil_policy::actor::{Actor, ActorSpec, FrameEncoder, SCAN};
 use vigil_types::{Attitude, DepthFrame};
 
 fn main() {
@@ -32,6 +32,18 @@ fn encoder_one_frame(bencher: Bencher, isa: Isa) {
     let (params, frame) = (initial(&graph), values(ActorSpec::FULL.frame_len(), 0.5));
     let mut tape = Aligned::zeros(graph.tape_len());
     bencher.bench_local(|| graph.forward(isa, &params, &[black_box(&frame)], &mut tape).unwrap());
+}
+
+/// The same row by row, as in flight.
+#[divan::bench(args = Isa::available())]
+fn encoder_one_frame_by_rows(bencher: Bencher, isa: Isa) {
+    let params = values(ActorSpec::FULL.encoder_len(), 0.08);
+    let (mut encoder, frame) = (
+        FrameEncoder::new(ActorSpec::FULL).unwrap(),
+        values(ActorSpec::FULL.frame_len(), 0.5),
+    );
+    let mut scan = [0.0; SCAN];
+    bencher.bench_local(|| encoder.encode(isa, &params, black_box(&frame), &mut scan).unwrap());
 }
 
 #[divan::bench(args = Isa::available())]

@@ -4,13 +4,13 @@
 use crate::files::FileSystem;
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoint_owner::Setpoints;
-use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
+use crate::flight::state::{Commander, Failsafe, LandedState, LostSensors, Sticks};
 use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;
 use crate::vehicle::{HoldLaw, Truth, VehicleView};
 use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, LinkId, LinkRole};
-use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::common::{FENCE_STATUS_DATA, MavSeverity};
 use vigil_mavlink::framing::{FramingCounters, Packet};
 use vigil_mavlink::mavlink::MessageData;
 pub use vigil_mavlink::routing::ComponentId;
@@ -151,7 +151,8 @@ pub(crate) struct Core {
     /// A new signing key that the links have not taken yet.
     pub signing_setup: Option<SigningSetup>,
     pub plans: Plans,
-    pub fence_watch: FenceWatch,
+    /// Whether the vehicle is outside its geofence, and how often it has been.
+    pub fence_status: FENCE_STATUS_DATA,
     pub outbox: Outbox,
     pub files: FileSystem,
     pub framing: FramingCounters,

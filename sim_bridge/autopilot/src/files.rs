@@ -91,10 +91,6 @@ fn normalised(path: &str) -> Result<String, FileError> {
     Ok(path)
 }
 
-fn parent(path: &str) -> &str {
-    path.rsplit_once('/').map_or("", |(parent, _)| parent)
-}
-
 impl FileSystem {
     /// Puts a file of the vehicle's own in place, with the directories on the way.
     pub fn provide(&mut self, path: &str, content: Vec<u8>, now_s: u64) {
@@ -162,17 +158,14 @@ impl FileSystem {
         if path.is_empty() {
             return Err(FileError::Exists);
         }
-        let parent = parent(path);
-        if !parent.is_empty() {
-            let entry = self.entry(parent)?;
-            if entry.content.is_some() {
-                return Err(FileError::NotADirectory);
-            }
-            if entry.own {
-                return Err(FileError::Protected);
-            }
+        let Some((parent, _)) = path.rsplit_once('/') else {
+            return Ok(());
+        };
+        match self.entry(parent)? {
+            Entry { content: Some(_), .. } => Err(FileError::NotADirectory),
+            Entry { own: true, .. } => Err(FileError::Protected),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     fn insert_new(&mut self, path: String, content: Option<Vec<u8>>, now_s: u64) -> Result<(), FileError> {

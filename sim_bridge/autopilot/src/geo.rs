@@ -1,4 +1,4 @@
-//! Between the globe and the local plane about home ([`vigil_mavlink::globe`]).
+//! Between the globe and the local plane about home ([`vigil_mavlink::globe`]), and how far from home a place may be.
 
 use vigil_mavlink::globe::{self, Origin};
 use vigil_types::NedVector;
@@ -9,6 +9,17 @@ pub const ORIGIN: Origin = Origin {
     longitude_deg: 8.545_594,
     altitude_m: 488.0,
 };
+
+/// Farther than this is a mistake in the coordinates, not a place to fly to.
+pub(crate) const MAX_DISTANCE_M: f32 = 10_000.0;
+pub(crate) const MAX_HEIGHT_M: f32 = 500.0;
+/// A height that is farther below home was meant above something else than its frame says; the world is level.
+pub(crate) const BELOW_HOME_M: f32 = 1.0;
+
+/// Whether a MAV_FRAME is one of places on the globe.
+pub(crate) fn is_global(frame: u8) -> bool {
+    matches!(frame, 0 | 3 | 5 | 6)
+}
 
 /// Height above home of an altitude above sea level.
 pub(crate) fn height_m(altitude_m: f32) -> f32 {

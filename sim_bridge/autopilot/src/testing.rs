@@ -337,7 +337,8 @@ impl Bench {
 
     /// The vehicle's messages of one kind on a link since the last `sent.clear()`.
     pub fn all<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> Vec<M> {
-        let own = self.sent.iter().filter(|s| s.link == link && s.from == VEHICLE);
+        let vehicle = component(self.system, 1);
+        let own = self.sent.iter().filter(|s| s.link == link && s.from == vehicle);
         let of_kind = own.filter(|s| s.message.as_ref().is_some_and(|m| m.message_id() == M::ID));
         let read = |s: &Sent| M::deser(MavlinkVersion::V2, &s.raw[10..s.raw.len() - 2]).expect("it was read once");
         of_kind.map(read).collect()

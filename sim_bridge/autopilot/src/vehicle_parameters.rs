@@ -382,11 +382,9 @@ impl Parameters {
         TABLE.iter().position(|info| info.name == name)
     }
 
-    /// Sets a value after checking its type and limits.
+    /// Sets the value at an index of the table after checking its type and limits.
     pub fn set(&mut self, index: usize, value: ParameterValue) -> Result<(), ParameterError> {
-        let info = TABLE
-            .get(index)
-            .ok_or_else(|| ParameterError::Unknown(format!("#{index}")))?;
+        let info = &TABLE[index];
         if discriminant(&info.default) != discriminant(&value) {
             return Err(ParameterError::WrongType(info.name));
         }

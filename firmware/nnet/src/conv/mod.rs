@@ -1,5 +1,6 @@
 //! Two-dimensional convolution, direct, rows × columns × channels.
 
+pub(crate) mod chain;
 mod input;
 mod planar;
 mod reorder;

@@ -11,9 +11,10 @@ use crate::actor::senses::{LOW_DIM, LowDim, Senses};
 use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
-use vigil_nnet::shape::expect;
+use vigil_nnet::shape::{expect, part};
 use vigil_nnet::{
-    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Params, Purpose, ShapeError,
+    Activation, Aligned, Conv2d, ConvChain, Dense, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Params, Purpose,
+    ShapeError,
 };
 use vigil_types::{Ablation, Action, DepthFrame};
 
@@ -256,14 +257,55 @@ impl ActorSpec {
     }
 }
 
+/// The encoder as it is evaluated in flight, row by row: the scan of [`ActorSpec::encoder_graph`], to the bit, in less time, above all when the
+/// caches are cold. Allocates when it is made; nothing after it does.
+#[derive(Debug, Clone)]
+pub struct FrameEncoder {
+    features: ConvChain,
+    scan: Dense,
+    scan_params: Params,
+}
+
+impl FrameEncoder {
+    /// Of an actor.
+    ///
+    /// # Errors
+    /// A frame too small for the encoder.
+    pub fn new(spec: ActorSpec) -> Result<Self, ShapeError> {
+        let params = spec.reserve(&mut GraphBuilder::new());
+        let layers = spec.convolutions().into_iter().zip(params.convolutions);
+        let layers: Vec<_> = layers.map(|(layer, at)| (layer, Activation::Elu, at)).collect();
+        Ok(Self {
+            features: ConvChain::new(Activation::NEAR_CONTRAST, &layers)?,
+            scan: spec.scan(),
+            scan_params: params.scan,
+        })
+    }
+
+    /// A frame's collision scan; `params` are an actor's, or the first [`ActorSpec::encoder_len`] of them.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn encode(
+        &mut self,
+        isa: Isa,
+        params: &[f32],
+        frame: &[f32],
+        scan: &mut [f32; SCAN],
+    ) -> Result<(), ShapeError> {
+        let features = self.features.forward(isa, params, frame)?;
+        let own = part("scan parameters", params, self.scan_params.at, self.scan_params.len)?;
+        self.scan.forward(isa, own, Activation::Sigmoid, features, None, scan)
+    }
+}
+
 /// A frozen actor in flight: encodes the new frame, remembers what the frames before it showed, and decides. Allocates when it is made;
 /// nothing after it does.
 #[derive(Debug, Clone)]
 pub struct Actor {
     isa: Isa,
     params: Aligned,
-    encoder: Graph,
-    encoder_tape: Aligned,
+    encoder: FrameEncoder,
     trunk: Graph,
     trunk_tape: Vec<f32>,
     head: Graph,
@@ -307,7 +349,6 @@ impl Actor {
     /// # Errors
     /// A parameter slice of another length.
     pub fn new(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
-        let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
         let (trunk, head) = (
             spec.trunk_graph(Purpose::Gradients)?,
             spec.head_graph(Purpose::Gradients)?,
@@ -316,8 +357,7 @@ impl Actor {
         Ok(Self {
             isa,
             params: Aligned::from(params),
-            encoder_tape: Aligned::zeros(encoder.tape_len()),
-            encoder,
+            encoder: FrameEncoder::new(spec)?,
             trunk_tape: vec![0.0; trunk.tape_len()],
             trunk,
             head_tape: vec![0.0; head.tape_len()],
@@ -384,9 +424,7 @@ impl Actor {
             Ablation::Frames => &BLANK.depth,
             _ => &input.depth.depth,
         };
-        self.encoder
-            .forward(self.isa, &self.params, &[depth], &mut self.encoder_tape)?;
-        self.scan.copy_from_slice(self.encoder.output(&self.encoder_tape)?);
+        self.encoder.encode(self.isa, &self.params, depth, &mut self.scan)?;
         self.decide_on_scan(input)
     }
 

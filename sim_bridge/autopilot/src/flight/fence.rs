@@ -14,6 +14,8 @@ const WARN: i32 = 1;
 const RETURN: i32 = 3;
 const TERMINATE: i32 = 4;
 const LAND: i32 = 5;
+/// No limit is broken.
+const INSIDE: FenceBreach = FenceBreach::FENCE_BREACH_NONE;
 
 impl Core {
     fn fence_action(&self) -> i32 {
@@ -28,22 +30,22 @@ impl Core {
     }
 
     /// Which limit a place breaks: metres north and east of the local origin, metres above home.
-    fn fence_breach(&self, place_m: (f32, f32), height_m: f32) -> Option<FenceBreach> {
+    fn fence_breach(&self, place_m: (f32, f32), height_m: f32) -> FenceBreach {
         let radius_m = self.param(ParamId::FenceRadiusM);
         let max_height_m = self.param(ParamId::FenceHeightM);
         let from_home_m = libm::hypotf(place_m.0 - self.home_m.0, place_m.1 - self.home_m.1);
         if max_height_m > 0.0 && height_m > max_height_m {
-            Some(FenceBreach::FENCE_BREACH_MAXALT)
+            FenceBreach::FENCE_BREACH_MAXALT
         } else if !self.plans.fence.allows(place_m) || (radius_m > 0.0 && from_home_m > radius_m) {
-            Some(FenceBreach::FENCE_BREACH_BOUNDARY)
+            FenceBreach::FENCE_BREACH_BOUNDARY
         } else {
-            None
+            INSIDE
         }
     }
 
     /// Whether the vehicle may be sent to a place. Everything is allowed where a breach would have no consequence.
     pub fn fence_allows(&self, place_m: (f32, f32), height_m: f32) -> bool {
-        matches!(self.fence_action(), NOTHING | WARN) || self.fence_breach(place_m, height_m).is_none()
+        matches!(self.fence_action(), NOTHING | WARN) || self.fence_breach(place_m, height_m) == INSIDE
     }
 
     /// Whether the vehicle itself is where it may be.
@@ -57,17 +59,18 @@ impl Core {
         let action = self.fence_action();
         let here = self.view.estimate.position_ned_m;
         let breach = match action {
-            NOTHING => None,
+            NOTHING => INSIDE,
             _ => self.fence_breach((here.x, here.y), -here.z),
         };
-        let before = std::mem::replace(&mut self.fence_watch.breach, breach);
+        let before = std::mem::replace(&mut self.fence_status.breach_type, breach);
         if before == breach {
             return;
         }
         self.announce::<FENCE_STATUS_DATA>();
-        if breach.is_some() && before.is_none() {
-            self.fence_watch.count = self.fence_watch.count.saturating_add(1);
-            self.fence_watch.last_ms = self.time_boot_ms();
+        self.fence_status.breach_status = u8::from(breach != INSIDE);
+        if before == INSIDE {
+            self.fence_status.breach_count = self.fence_status.breach_count.saturating_add(1);
+            self.fence_status.breach_time = self.time_boot_ms();
             if self.commander.armed && !self.commander.is_on_ground() {
                 self.act_on_breach(action);
             }

@@ -1,10 +1,9 @@
-//! What flight remembers: modes, maneuvers, sticks, the watch over the geofence. How they change is in the other files, which
-//! know the core; these types do not.
+//! What flight remembers: modes, maneuvers, sticks. How they change is in the other files, which know the core; these types do
+//! not.
 
 use crate::config::Source;
 use crate::flight::mode::FlightMode;
 use crate::vehicle::{ControlCommand, Estimate, Goal};
-use vigil_mavlink::common::FenceBreach;
 use vigil_types::{FrdVector, Nanos, NedVector};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
@@ -229,17 +228,6 @@ pub(crate) struct FollowTarget {
     pub velocity_ned_m_s: NedVector,
     /// Where it goes, clockwise from north: kept while it stands.
     pub course_rad: f32,
-}
-
-/// Whether the vehicle is outside its geofence, and how often it has been.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct FenceWatch {
-    /// The limit that is broken.
-    pub breach: Option<FenceBreach>,
-    /// Breaches since start.
-    pub count: u16,
-    /// Milliseconds since boot of the last one.
-    pub last_ms: u32,
 }
 
 /// Deflections forward, right, up and clockwise, each from −1 to 1.

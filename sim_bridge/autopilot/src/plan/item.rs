@@ -2,9 +2,8 @@
 //! that they do not know, but such an item must be answered.
 
 use crate::core::padded;
-use crate::geo;
+use crate::geo::{self, BELOW_HOME_M, MAX_DISTANCE_M, MAX_HEIGHT_M, is_global};
 use crate::plan::PlanDefect;
-use crate::services::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::settings;
@@ -54,10 +53,6 @@ impl Envelope {
     pub fn is_go_to(self) -> bool {
         matches!(self.current, 2 | 3)
     }
-}
-
-fn is_global(frame: u8) -> bool {
-    GLOBAL_FRAMES.contains(&frame)
 }
 
 impl PlanItem {

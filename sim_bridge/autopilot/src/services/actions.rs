@@ -4,7 +4,7 @@
 
 use crate::core::padded;
 use crate::flight::{Facing, FlightMode, Orbit};
-use crate::geo::{self, height_m};
+use crate::geo::{self, BELOW_HOME_M, MAX_DISTANCE_M, MAX_HEIGHT_M, height_m};
 use crate::plan::mission::{
     DO_SET_ROI, DO_SET_ROI_LOCATION, DO_SET_ROI_NONE, NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_ROI, NAV_TAKEOFF,
     ROI_LOCATION,
@@ -47,13 +47,6 @@ const DO_CHANGE_ALTITUDE: u16 = 186;
 const DO_REPOSITION: u16 = 192;
 /// MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 const MAY_CHANGE_MODE: f32 = 1.0;
-/// Farther than this is a mistake in the coordinates, not a place to fly to.
-pub(crate) const MAX_DISTANCE_M: f32 = 10_000.0;
-pub(crate) const MAX_HEIGHT_M: f32 = 500.0;
-/// MAV_FRAME numbers of global places.
-pub(crate) const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
-/// A height that is farther below home was meant above something else than its frame says; the world is level.
-pub(crate) const BELOW_HOME_M: f32 = 1.0;
 
 /// SET_MODE, the message.
 pub(crate) struct SetMode;
@@ -98,7 +91,7 @@ pub(super) fn set_mode(mode: Option<FlightMode>, source: Source, core: &mut Core
 /// Places are flown to that are on the globe.
 fn check_frame(frame: u8) -> Answer {
     let text = || Refusal::DENIED.saying(format!("denied: frame {frame} is not flown, 0, 3, 5 and 6 are"));
-    GLOBAL_FRAMES.contains(&frame).then_some(()).ok_or_else(text)
+    geo::is_global(frame).then_some(()).ok_or_else(text)
 }
 
 fn too_far() -> Refusal {

@@ -4,10 +4,10 @@
 //! Home and origin are both the local origin until DO_SET_HOME moves home, which changes where a return flies to and what
 //! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
 
-use crate::geo::{self, ORIGIN, deg_e7};
+use crate::geo::{self, MAX_DISTANCE_M, ORIGIN, deg_e7};
 use crate::plan::mission::DO_SET_HOME;
 use crate::service::prelude::*;
-use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M, latitude_longitude_deg, to_local};
+use crate::services::actions::{latitude_longitude_deg, to_local};
 use vigil_types::NedVector;
 
 pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_SET_HOME, set_home)];
@@ -40,7 +40,7 @@ fn set_home(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let here = core.view.estimate.position_ned_m;
     let home_m = match (command.param(1), latitude_longitude_deg(command)) {
         (Some(1.0), _) => (here.x, here.y),
-        (Some(0.0) | None, Some(place)) if GLOBAL_FRAMES.contains(&command.frame()) => {
+        (Some(0.0) | None, Some(place)) if geo::is_global(command.frame()) => {
             let altitude_m = command.param(7).map_or(ORIGIN.altitude_m, f64::from);
             // An infinite altitude is at no height.
             if (altitude_m - ORIGIN.altitude_m).abs() > SAME_HEIGHT_M {
@@ -107,14 +107,10 @@ impl Service for Geofence {
 
 /// Nothing while there is no geofence.
 fn fence_status(core: &Core) -> Option<MavMessage> {
-    let watch = &core.fence_watch;
     core.has_fence().then(|| {
         MavMessage::FENCE_STATUS(FENCE_STATUS_DATA {
-            breach_time: watch.last_ms,
-            breach_count: watch.count,
-            breach_status: u8::from(watch.breach.is_some()),
-            breach_type: watch.breach.unwrap_or(FenceBreach::FENCE_BREACH_NONE),
             breach_mitigation: FenceMitigate::FENCE_MITIGATE_NONE,
+            ..core.fence_status.clone()
         })
     })
 }

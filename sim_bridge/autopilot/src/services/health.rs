@@ -24,7 +24,7 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
     present.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.has_fence());
     let mut health = present;
     // Healthy also without a geofence: ground stations take the bit's absence for a breach.
-    health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
+    health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_status.breach_status == 0);
     let lost = core.lost_sensors;
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_GPS, lost.gps_since_ns.is_none());
     let has_barometer = lost.barometer.is_none();

@@ -7,6 +7,7 @@
 use crate::core::padded;
 use crate::service::prelude::*;
 use crate::ulog;
+use core::ops::Range;
 
 const DIRECTORY: &str = "log";
 /// Ten records per second.
@@ -30,19 +31,13 @@ const STREAM_PACKETS: usize = 4;
 /// What LOGGING_DATA says where no message of the log begins in it.
 const NO_MESSAGE: u8 = 255;
 
-/// Logs that are being listed or a log that is being sent.
+/// What a client is being sent.
 #[derive(Debug, Clone)]
-enum Work {
-    List {
-        next: usize,
-        end: usize,
-    },
-    Data {
-        path: String,
-        id: u16,
-        offset: usize,
-        end: usize,
-    },
+struct Work {
+    /// The log's path and number; `None` lists the logs.
+    log: Option<(String, u16)>,
+    /// Bytes of the log, or logs of the list.
+    left: Range<usize>,
 }
 
 /// A log that is sent while it is written.
@@ -83,7 +78,7 @@ impl Service for Logs {
             if count == 0 {
                 core.outbox.send(source.link, &entry(core, 0));
             } else {
-                self.begin(source, Work::List { next, end }, core.now_ns);
+                self.begin(source, None, next..end, core.now_ns);
             }
         } else if let Some(LOG_REQUEST_DATA_DATA { id, ofs, count, .. }) = core.read(packet) {
             let Some(path) = paths(core).get(usize::from(id)).cloned() else {
@@ -96,7 +91,7 @@ impl Service for Logs {
             if offset == end {
                 core.outbox.send(source.link, &data(id, offset, &[]));
             } else {
-                self.begin(source, Work::Data { path, id, offset, end }, core.now_ns);
+                self.begin(source, Some((path, id)), offset..end, core.now_ns);
             }
         } else if core.read::<LOG_REQUEST_END_DATA>(packet).is_some() {
             self.work.retain(|(client, _)| *client != source);
@@ -179,28 +174,22 @@ fn data(id: u16, ofs: usize, bytes: &[u8]) -> MavMessage {
 impl Work {
     /// Sends the next packet; `false` when that was the last.
     fn send(&mut self, client: Source, core: &mut Core) -> bool {
-        match self {
-            Self::List { next, end } => {
-                if next >= end {
-                    return false;
-                }
-                let message = entry(core, *next);
-                core.outbox.send(client.link, &message);
-                *next += 1;
-                next < end
-            }
-            Self::Data { path, id, offset, end } => {
+        let Range { start, end } = self.left;
+        if start >= end {
+            return false;
+        }
+        let (message, sent) = match &self.log {
+            None => (entry(core, start), 1),
+            Some((path, id)) => {
                 // Empty where the log was erased meanwhile: that ends it.
                 let content = core.files.read(path).unwrap_or_default();
-                let to = (*offset + CHUNK).min(*end);
-                let bytes = content.get(*offset..to).unwrap_or_default();
-                let message = data(*id, *offset, bytes);
-                *offset += bytes.len();
-                let goes_on = !bytes.is_empty() && offset < end;
-                core.outbox.send(client.link, &message);
-                goes_on
+                let bytes = content.get(start..end.min(start + CHUNK)).unwrap_or_default();
+                (data(*id, start, bytes), bytes.len())
             }
-        }
+        };
+        core.outbox.send(client.link, &message);
+        self.left.start += sent;
+        sent > 0 && !self.left.is_empty()
     }
 }
 
@@ -236,8 +225,8 @@ impl Stream {
 
 impl Logs {
     /// A new request of a client ends what it asked for before.
-    fn begin(&mut self, client: Source, work: Work, now_ns: Nanos) {
-        keep(&mut self.work, MAX_DOWNLOADS, client, work);
+    fn begin(&mut self, client: Source, log: Option<(String, u16)>, left: Range<usize>, now_ns: Nanos) {
+        keep(&mut self.work, MAX_DOWNLOADS, client, Work { log, left });
         self.send_ns = now_ns;
     }
 

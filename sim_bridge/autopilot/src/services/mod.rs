@@ -21,8 +21,6 @@ mod state;
 
 use crate::service::prelude::*;
 
-pub(crate) use actions::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
-
 /// Commands that are served, and messages that are built, by what all services share, and nothing else.
 struct Tables(&'static [(u16, Handler)], &'static [Produced]);
 

@@ -201,7 +201,7 @@ impl PlanTransfer {
         let is_this = |upload: &Upload| {
             upload.source == source && upload.kind as u8 == envelope.mission_type && !envelope.is_go_to()
         };
-        let Some(mut upload) = self.upload.take_if(|upload| is_this(upload)) else {
+        let Some(upload) = self.upload.as_mut().filter(|upload| is_this(upload)) else {
             return self.answer_astray(envelope, source, core);
         };
         // A repetition of what came already waits for the retry; a gap is filled at once.
@@ -210,14 +210,15 @@ impl PlanTransfer {
             if envelope.seq > wanted {
                 upload.ask(core);
             }
-            self.upload = Some(upload);
             return;
         }
-        let checked = Plans::check(upload.kind, &item).and_then(|()| inside_fence(&item, upload.kind, core));
+        let kind = upload.kind;
+        let checked = Plans::check(kind, &item).and_then(|()| inside_fence(&item, kind, core));
         if let Err(defect) = checked {
-            self.finished = Some((source, upload.kind, 0, core.now_ns));
+            self.upload = None;
+            self.finished = Some((source, kind, 0, core.now_ns));
             let reason = format!("item {wanted}: {}", defect.reason);
-            return refuse(core, source, upload.kind, defect.result, &reason);
+            return refuse(core, source, kind, defect.result, &reason);
         }
         upload.items.push(item);
         if envelope.current == 1 {
@@ -227,8 +228,7 @@ impl PlanTransfer {
         upload.retries = 0;
         if upload.items.len() < usize::from(upload.count) {
             upload.ask(core);
-            self.upload = Some(upload);
-        } else {
+        } else if let Some(upload) = self.upload.take() {
             self.finish(upload, core);
         }
     }
@@ -294,18 +294,13 @@ fn tell_count(mission_type: u8, source: Source, core: &mut Core) {
         return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED);
     };
     let wire = core.plans.wire(kind);
-    let ([low, high], [a, b, c, d]) = ((wire.items.len() as u16).to_le_bytes(), wire.id.to_le_bytes());
+    let (count, to) = ((wire.items.len() as u16).to_le_bytes(), source.id);
     let payload = [
-        low,
-        high,
-        source.id.system,
-        source.id.component,
-        mission_type,
-        a,
-        b,
-        c,
-        d,
-    ];
+        &count[..],
+        &[to.system, to.component, mission_type],
+        &wire.id.to_le_bytes(),
+    ]
+    .concat();
     core.outbox.send_payload(source.link, MISSION_COUNT_DATA::ID, &payload);
 }
 

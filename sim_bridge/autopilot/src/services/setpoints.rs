@@ -3,9 +3,8 @@
 //! <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>, <https://mavlink.io/en/messages/common.html#MANUAL_CONTROL>
 
 use crate::flight::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
-use crate::geo;
+use crate::geo::{self, BELOW_HOME_M, MAX_DISTANCE_M};
 use crate::service::prelude::*;
-use crate::services::{BELOW_HOME_M, MAX_DISTANCE_M};
 use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::Allowance;

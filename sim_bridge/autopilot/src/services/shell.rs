@@ -4,13 +4,13 @@
 //! message could not.
 
 use crate::core::padded;
+use crate::files::Entry;
 use crate::flight::{Denial, FlightMode};
 use crate::plan::PlanKind;
 use crate::service::prelude::*;
 use crate::services::actions;
 use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
-use std::fmt::Write;
 
 /// Bytes of a packet.
 const CHUNK: usize = 70;
@@ -180,18 +180,16 @@ fn show(pattern: &str, core: &Core) -> String {
     if pattern.matches('*').count() > 3 {
         return "at most three *\n".to_owned();
     }
-    let mut text = String::new();
-    for (info, value) in core.parameters.all().filter(|(info, _)| fits(info.name, pattern)) {
-        // Writing into a string cannot fail.
-        let _ = match value {
-            ParameterValue::Integer(value) => writeln!(text, "{}: {value}", info.name),
-            ParameterValue::Real(value) => writeln!(text, "{}: {value:?}", info.name),
-        };
+    let fitting = core.parameters.all().filter(|(info, _)| fits(info.name, pattern));
+    let lines = fitting.map(|(info, value)| match value {
+        ParameterValue::Integer(value) => format!("{}: {value}\n", info.name),
+        ParameterValue::Real(value) => format!("{}: {value:?}\n", info.name),
+    });
+    let text: String = lines.collect();
+    match text.is_empty() {
+        true => format!("no parameter {pattern}\n"),
+        false => text,
     }
-    if text.is_empty() {
-        text = format!("no parameter {pattern}\n");
-    }
-    text
 }
 
 fn set(name: &str, value: &str, core: &mut Core) -> String {
@@ -220,16 +218,13 @@ fn try_set(name: &str, value: &str, core: &mut Core) -> Result<(), String> {
 }
 
 fn list(path: &str, core: &Core) -> String {
+    let line = |(name, entry): (&str, &Entry)| match entry.size() {
+        Some(size) => format!("{size:>8} {name}\n"),
+        None => format!("{:>8} {name}/\n", ""),
+    };
     match core.files.list(path) {
         Err(error) => format!("{path}: {error}\n"),
-        Ok(entries) => entries.iter().fold(String::new(), |mut text, (name, entry)| {
-            // Writing into a string cannot fail.
-            let _ = match entry.size() {
-                Some(size) => writeln!(text, "{size:>8} {name}"),
-                None => writeln!(text, "{:>8} {name}/", ""),
-            };
-            text
-        }),
+        Ok(entries) => entries.into_iter().map(line).collect(),
     }
 }
 

@@ -389,11 +389,8 @@ fn the_vehicle_s_system_is_a_parameter_that_is_nobody_s_to_set_or_to_keep() {
         b.system = system_id;
         b.set_parameter("MAV_SYS_ID", ParameterValue::Integer(9));
         b.read_parameter("MAV_SYS_ID", -1);
-        let requested = b.sent.iter().rev().find_map(|sent| match &sent.message {
-            Some(MavMessage::PARAM_VALUE(m)) => Some(m.param_value.to_bits()),
-            _ => None,
-        });
-        assert_eq!(requested, Some(system_id.into()));
+        let requested = b.last::<PARAM_VALUE_DATA>(API).param_value.to_bits();
+        assert_eq!(requested, u32::from(system_id));
         assert!(b.endpoint.saved().parameters.is_empty());
     }
 }

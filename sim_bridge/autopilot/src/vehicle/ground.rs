@@ -22,7 +22,6 @@ pub(crate) struct Ground {
     params: GroundParams,
     /// No point is further from the centre of mass than this, metres.
     reach_m: f64,
-    touching: bool,
 }
 
 impl Ground {
@@ -48,7 +47,6 @@ impl Ground {
             }),
             params: *params,
             reach_m: offsets.iter().fold(0.0, |m: f64, o| m.max(o.norm())),
-            touching: false,
         }
     }
 
@@ -62,19 +60,16 @@ impl Ground {
         for p in &mut self.points {
             p.anchor_m = None;
         }
-        self.touching = false;
     }
 
     /// The ground's force (NED) and torque (FRD) on the body, `None` in the air.
     pub(crate) fn contact(&mut self, body: &Body) -> Option<(Vec3, Vec3)> {
         if body.position_ned_m.z < -self.reach_m {
-            if self.touching {
-                self.release();
-            }
+            self.release();
             return None;
         }
         let (mut force_ned_n, mut torque_frd_n_m) = (Vec3::zeros(), Vec3::zeros());
-        self.touching = false;
+        let mut touches = false;
         let (stiffness, damping) = (self.params.stiffness_n_m, self.params.damping_n_s_m);
         for point in &mut self.points {
             let arm = body.attitude * point.offset_frd_m;
@@ -101,9 +96,9 @@ impl Ground {
             let force = Vec3::new(fx, fy, -normal);
             force_ned_n += force;
             torque_frd_n_m += body.attitude.inverse_transform_vector(&arm.cross(&force));
-            self.touching = true;
+            touches = true;
         }
-        self.touching.then_some((force_ned_n, torque_frd_n_m))
+        touches.then_some((force_ned_n, torque_frd_n_m))
     }
 
     /// Anchors, for the state hash.

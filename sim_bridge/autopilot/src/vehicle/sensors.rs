@@ -2,7 +2,7 @@
 
 use crate::vehicle::body::Body;
 use crate::vehicle::interface::Sensors;
-use crate::vehicle::math::{Rotation, StateBytes, Vec3, heading, single, small_rotation};
+use crate::vehicle::math::{StateBytes, Vec3, heading, single, small_rotation};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{BatteryParams, SensorParams};
 use crate::vehicle::rotors::Rotors;
@@ -27,7 +27,6 @@ pub(crate) struct Errors {
     position_keep: f64,
     velocity: OrnsteinUhlenbeck,
     attitude: OrnsteinUhlenbeck,
-    attitude_error: Rotation,
     position_m: Vec3,
     drift: Option<Drift>,
     accelerometer: Vec3,
@@ -51,7 +50,6 @@ impl Errors {
             position_keep: libm::exp(-interval_s / params.estimate_position_time_s),
             velocity,
             attitude,
-            attitude_error: small_rotation(&attitude.value),
             position_m: Vec3::zeros(),
             drift: Drift::new(params, wander_noise, interval_s),
             accelerometer: Vec3::zeros(),
@@ -69,7 +67,6 @@ impl Errors {
         let deviation = p.estimate_velocity_m_s * libm::sqrt(p.estimate_velocity_time_s * p.estimate_position_time_s);
         self.velocity.redraw(&mut self.noise);
         self.attitude.redraw(&mut self.noise);
-        self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.noise.normal3() * deviation;
         if let Some(drift) = &mut self.drift {
             drift.settle();
@@ -82,7 +79,6 @@ impl Errors {
     pub(crate) fn advance(&mut self, body: &Body, gear_height_m: f64) {
         self.velocity.advance(&mut self.noise);
         self.attitude.advance(&mut self.noise);
-        self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.position_m * self.position_keep + self.velocity.value * self.interval_s;
         if let Some(drift) = &mut self.drift {
             drift.advance(self.interval_s, -body.position_ned_m.z > gear_height_m);
@@ -112,7 +108,7 @@ impl Errors {
         let mut belief = Body {
             position_ned_m: body.position_ned_m + self.position_m,
             velocity_ned_m_s: body.velocity_ned_m_s + self.velocity.value,
-            attitude: body.attitude * self.attitude_error,
+            attitude: body.attitude * small_rotation(&self.attitude.value),
             rates_frd_rad_s: self.rates_frd_rad_s(body),
         };
         if let Some(drift) = &self.drift {

@@ -1,10 +1,10 @@
 //! What the actor observes, as the trainer stores it and sees it in a mirror, and how an environment makes it.
 
 use std::sync::Arc;
-use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
-use vigil_policy::actor::ActorSpec;
+use vigil_nnet::{Aligned, Isa, ShapeError};
 use vigil_policy::actor::memory::{CONTEXT, MOVED, Odometry, RING, SCAN, SCAN_AGES, TRAIL};
 use vigil_policy::actor::senses::{LOW_DIM, Senses};
+use vigil_policy::actor::{ActorSpec, FrameEncoder};
 use vigil_policy::{PilotInput, RangeScan};
 use vigil_types::{Action, Attitude, DepthFrame, wrap_pi};
 
@@ -31,26 +31,24 @@ pub fn mirror(observation: &mut [f32]) {
 
 /// The frozen encoder.
 pub struct Encoder {
-    graph: Graph,
+    frames: FrameEncoder,
     isa: Isa,
-    params: Vec<f32>,
+    params: Aligned,
 }
 
 impl Encoder {
     /// Of these parameters.
     pub fn new(isa: Isa, encoder: &[f32]) -> Result<Self, ShapeError> {
-        let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
-        let mut params = vec![0.0; graph.param_len()];
-        params[..encoder.len()].copy_from_slice(encoder);
-        Ok(Self { graph, isa, params })
+        let (frames, params) = (FrameEncoder::new(ActorSpec::FULL)?, Aligned::from(encoder));
+        Ok(Self { frames, isa, params })
     }
 }
 
 /// Observes step by step, as the actor in flight does.
 pub struct Observer {
     encoder: Arc<Encoder>,
+    frames: FrameEncoder,
     senses: Senses,
-    tape: Aligned,
     drifting: Drifting,
     /// The newest observation.
     pub now: [f32; OBSERVATION],
@@ -139,8 +137,8 @@ impl Observer {
     /// One that has seen nothing.
     pub fn new(encoder: Arc<Encoder>, drift: Drift) -> Self {
         Self {
+            frames: encoder.frames.clone(),
             senses: Senses::default(),
-            tape: Aligned::zeros(encoder.graph.tape_len()),
             encoder,
             drifting: Drifting::new(drift),
             now: [0.0; OBSERVATION],
@@ -149,10 +147,9 @@ impl Observer {
 
     /// Takes a step's frame and odometry; `last` is the action before it.
     pub fn observe(&mut self, input: &PilotInput<'_>, last: Action) -> Result<(), ShapeError> {
-        let Encoder { graph, isa, params } = &*self.encoder;
-        graph.forward(*isa, params, &[&input.depth.depth], &mut self.tape)?;
+        let Encoder { isa, params, .. } = &*self.encoder;
         let mut scan = [0.0; SCAN];
-        scan.copy_from_slice(graph.output(&self.tape)?);
+        self.frames.encode(*isa, params, &input.depth.depth, &mut scan)?;
         let odometry = self.drifting.of(Odometry::of(input));
         let low = self.senses.observe(&scan, odometry, input, last);
         self.now[..SCAN].copy_from_slice(&scan);
