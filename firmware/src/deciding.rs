@@ -3,7 +3,7 @@
 
 use crate::motion::Motion;
 use crate::pilots::Pilots;
-use crate::segment::{LocalGoal, Segment, along_path, turned_to_path};
+use crate::segment::{Segment, along_path, turned_to_path};
 use vigil_guidance::Risk;
 use vigil_policy::{Decider, Pilot, PilotInput};
 use vigil_types::{Action, Alarm, AlarmResponse, DepthFrame, Goal, GoalRelative, Judgement, NedVector};
@@ -130,8 +130,8 @@ impl Deciding {
         let here = kinematics.position_ned_m;
         self.segment.take_up(input.now_ns, here, view.goal_ned_m);
         match self.segment.next(input.now_ns, here, view.goal.bearing_rad) {
-            LocalGoal::Point(position_ned_m) => (Goal { position_ned_m }.relative_to(&kinematics, &sample), None),
-            LocalGoal::Path => (view.goal, Some(view.goal)),
+            Some(position_ned_m) => (Goal { position_ned_m }.relative_to(&kinematics, &sample), None),
+            None => (view.goal, Some(view.goal)),
         }
     }
 

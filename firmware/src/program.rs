@@ -194,14 +194,20 @@ pub fn colours(is_terminal: bool) -> bool {
     is_terminal && !is_forbidden && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
 }
 
-/// Which diagnostics are shown: `RUST_LOG` (a level, or `target=level` with commas between), or else `default`, a level.
+/// Which diagnostics are shown: `RUST_LOG` (a level, or `target=level` with commas between), or else `default`, a level. One that is
+/// neither is named on standard error.
 pub fn diagnostics(default: &str) -> Targets {
     let wanted = std::env::var("RUST_LOG").ok().map(|wanted| wanted.replace(' ', ""));
+    let is_given = wanted.as_ref().is_some_and(|wanted| !wanted.is_empty());
     // A word that is no level would be the name of a target, and hide everything else.
     let is_level = |part: &str| !part.is_empty() && part.parse::<LevelFilter>().is_ok();
     let is_filter = |part: &str| part.contains('=') || is_level(part);
     let wanted = wanted.filter(|wanted| wanted.split(',').all(is_filter));
     let parsed = wanted.and_then(|wanted| wanted.parse().ok());
+    if is_given && parsed.is_none() {
+        let what = "error, warn, info, debug, trace, off, or target=level with commas between";
+        announce(&format!("RUST_LOG is not understood, {default} taken: give {what}"));
+    }
     parsed.unwrap_or_else(|| default.parse().unwrap_or_default())
 }
 

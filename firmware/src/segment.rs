@@ -23,15 +23,6 @@ const PATH_NS: Nanos = 30_000_000_000;
 const TURN_RAD: f32 = 1.0;
 const TURN_YAW: f32 = 1.0;
 
-/// What the policy flies to.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum LocalGoal {
-    /// A point: the goal or an intermediate one.
-    Point(NedVector),
-    /// The planned path.
-    Path,
-}
-
 /// A far goal and how near the vehicle came to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Approach {
@@ -80,27 +71,27 @@ impl Segment {
     }
 
     /// Where to fly: to the goal if it is known, to the point of the line [`AHEAD_M`] farther than the vehicle has come, at the goal's
-    /// height, or along the path. `bearing_rad` is the goal's.
-    pub fn next(&mut self, now_ns: Nanos, here: NedVector, bearing_rad: f32) -> LocalGoal {
+    /// height; `None` is along the path. `bearing_rad` is the goal's.
+    pub fn next(&mut self, now_ns: Nanos, here: NedVector, bearing_rad: f32) -> Option<NedVector> {
         let Some((from, goal)) = self.line else {
-            return LocalGoal::Point(here);
+            return Some(here);
         };
         let distance_m = (goal - here).horizontal_norm();
         if let Some(approach) = &mut self.far {
             approach.note(now_ns, distance_m, bearing_rad);
             if approach.by_path {
-                return LocalGoal::Path;
+                return None;
             }
         }
         if distance_m <= FARTHEST_KNOWN_M {
-            return LocalGoal::Point(goal);
+            return Some(goal);
         }
         let path = goal - from;
         let length_m = path.horizontal_norm();
         let [north, east] = [path.x, path.y].map(|along_m| along_m / length_m.max(f32::MIN_POSITIVE));
         let come = here - from;
         let ahead_m = (come.x * north + come.y * east).max(0.0) + AHEAD_M;
-        LocalGoal::Point(if ahead_m >= length_m {
+        Some(if ahead_m >= length_m {
             goal
         } else {
             NedVector::new(from.x + north * ahead_m, from.y + east * ahead_m, goal.z)
@@ -163,10 +154,7 @@ mod tests {
     /// The local goal of a vehicle that has just come there.
     fn local_goal(segment: &mut Segment, here: NedVector, goal: NedVector) -> NedVector {
         segment.take_up(0, here, goal);
-        match segment.next(0, here, 0.0) {
-            LocalGoal::Point(point) => point,
-            LocalGoal::Path => panic!("by the path at {here:?}"),
-        }
+        segment.next(0, here, 0.0).expect("not by the path")
     }
 
     /// The local goal of a vehicle that comes there from the origin at once.
@@ -182,7 +170,7 @@ mod tests {
         assert_eq!(local_goal(&mut segment, at(0.0, 0.0), at(20.0, 5.0)), at(20.0, 5.0));
         assert_eq!(local_goal(&mut segment, at(10.0, -7.0), at(20.0, 5.0)), at(20.0, 5.0));
         let later = segment.next(1_000 * SECOND_NS, at(10.0, -7.0), 3.0);
-        assert_eq!(later, LocalGoal::Point(at(20.0, 5.0)), "however long that takes");
+        assert_eq!(later, Some(at(20.0, 5.0)), "however long that takes");
     }
 
     #[test]
@@ -210,23 +198,19 @@ mod tests {
         segment.take_up(0, at(0.0, 0.0), goal);
         let mut next = |seconds: u64, north: f32, bearing_rad: f32| {
             let local_goal = segment.next(seconds * SECOND_NS, at(north, 0.0), bearing_rad);
-            assert_eq!(local_goal == LocalGoal::Path, segment.is_by_path());
+            assert_eq!(local_goal.is_none(), segment.is_by_path());
             local_goal
         };
-        assert_eq!(next(5, 0.0, 0.0), LocalGoal::Point(at(AHEAD_M, 0.0)));
-        assert_eq!(next(7, 0.3, 0.0), LocalGoal::Path, "it stands");
-        assert_eq!(next(12, -6.0, 0.0), LocalGoal::Path, "the path out goes back first");
-        assert_eq!(next(20, 2.0, 0.0), LocalGoal::Path);
-        assert_eq!(next(30, 3.1, 0.0), LocalGoal::Point(at(3.1 + AHEAD_M, 0.0)));
-        assert_eq!(next(34, 60.0, 0.0), LocalGoal::Point(at(60.0 + AHEAD_M, 0.0)));
-        assert_eq!(next(35, 57.0, 0.0), LocalGoal::Path, "it flies back");
-        assert_eq!(
-            next(70, 50.0, 0.0),
-            LocalGoal::Point(at(58.0, 0.0)),
-            "nor does the path help"
-        );
-        assert_eq!(next(72, 195.0, 0.0), LocalGoal::Point(goal));
-        assert_eq!(next(73, 195.2, 1.4), LocalGoal::Path, "it passes the goal");
+        assert_eq!(next(5, 0.0, 0.0), Some(at(AHEAD_M, 0.0)));
+        assert_eq!(next(7, 0.3, 0.0), None, "it stands");
+        assert_eq!(next(12, -6.0, 0.0), None, "the path out goes back first");
+        assert_eq!(next(20, 2.0, 0.0), None);
+        assert_eq!(next(30, 3.1, 0.0), Some(at(3.1 + AHEAD_M, 0.0)));
+        assert_eq!(next(34, 60.0, 0.0), Some(at(60.0 + AHEAD_M, 0.0)));
+        assert_eq!(next(35, 57.0, 0.0), None, "it flies back");
+        assert_eq!(next(70, 50.0, 0.0), Some(at(58.0, 0.0)), "nor does the path help");
+        assert_eq!(next(72, 195.0, 0.0), Some(goal));
+        assert_eq!(next(73, 195.2, 1.4), None, "it passes the goal");
     }
 
     #[test]

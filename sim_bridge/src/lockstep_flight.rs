@@ -5,25 +5,6 @@ use crate::world::Outcome;
 use serde::{Deserialize, Deserializer, Serialize};
 use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_S};
 
-/// The firmware's side of a step, in the same process or in another.
-pub trait FirmwarePort {
-    /// Why a step failed.
-    type Error;
-
-    /// Step number `step` at `now_ns`: gives the frame and the vehicle's datagrams, gets the firmware's datagrams.
-    ///
-    /// # Errors
-    /// Whatever keeps the firmware from answering; the flight ends there.
-    fn step(
-        &mut self,
-        step: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Self::Error>;
-}
-
 /// What a lockstep flight came to.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FlightRecord {
@@ -72,17 +53,17 @@ impl FlightRecord {
 /// Steps between two points of [`FlightRecord::path_ned_m`].
 pub const PATH_STRIDE: u64 = 4;
 
-/// Flies until the referee ends the flight. What is between the sensor and the firmware, an attack for one, gets each step's number and
-/// frame before the firmware does: `between`.
+/// Flies until the referee ends the flight. `firmware`, in this process or another, is given each step's number and time, the frame and the
+/// vehicle's datagrams, and puts its own into the last argument. What is between sensor and firmware, an attack for one, alters the
+/// frame first.
 ///
 /// # Errors
-/// The firmware port's error.
-pub fn fly_lockstep_through<P: FirmwarePort>(
+/// Whatever keeps the firmware from answering; the flight ends there.
+pub fn fly_lockstep<E>(
     simulator: &mut Simulator,
-    between: &mut dyn FnMut(u64, &mut DepthFrame),
-    port: &mut P,
     time_limit_s: f64,
-) -> Result<FlightRecord, P::Error> {
+    mut firmware: impl FnMut(u64, Nanos, &mut DepthFrame, &Datagrams, &mut Datagrams) -> Result<(), E>,
+) -> Result<FlightRecord, E> {
     // A vehicle that never lifts off is never seen by the referee: 60 s are ample for arming and take-off.
     let most_steps = ((time_limit_s + 60.0) / f64::from(STEP_S)) as u64;
     let mut frame = Box::new(DepthFrame::EMPTY);
@@ -93,8 +74,7 @@ pub fn fly_lockstep_through<P: FirmwarePort>(
     while step < most_steps && simulator.ending().is_none() {
         simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
         from_firmware.clear();
-        between(step, &mut frame);
-        port.step(step, simulator.now_ns(), &frame, &to_firmware, &mut from_firmware)?;
+        firmware(step, simulator.now_ns(), &mut frame, &to_firmware, &mut from_firmware)?;
         let has_ended = simulator.ending().is_some();
         if !has_ended {
             closest_obstacle_m = closest_obstacle_m.min(simulator.obstacle_distance_m());

@@ -1,6 +1,6 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
-use crate::lockstep_flight::{FirmwarePort, fly_lockstep_through};
+use crate::lockstep_flight::fly_lockstep;
 use crate::saved_state::state_file;
 use crate::udp::ports_in_words;
 use crate::vehicle_links::{LinksConfig, VehicleLinks};
@@ -22,7 +22,7 @@ use vigil_io::clock::{monotonic_ns, sleep_until, unix_us_at_zero};
 use vigil_io::key_file::frame_key;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{
-    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, FrameKey, GuidanceState, Nanos, Reasons, STEP_NS,
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrameKey, GuidanceState, Nanos, Reasons, STEP_NS,
 };
 
 /// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
@@ -224,21 +224,6 @@ pub(crate) fn lidar_key(file: Option<&Path>) -> Result<Option<FrameKey>> {
     Ok(file.map(|path| frame_key(path, LIDAR_SENSOR_ID)).transpose()?)
 }
 
-impl FirmwarePort for LockstepClient {
-    type Error = LockstepError;
-
-    fn step(
-        &mut self,
-        step: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Self::Error> {
-        self.exchange(step, now_ns, Some(frame), received, sent)
-    }
-}
-
 /// The simulator; a state that it refuses is named with file and line.
 fn simulator(args: &SimArgs, config: &SimConfig, epoch_ns: Nanos) -> Result<Simulator> {
     Simulator::new(config, epoch_ns).map_err(|error| match (error.downcast_ref(), &args.state) {
@@ -310,7 +295,11 @@ fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: Arc<A
     };
     let mut steps = 0;
     let limit_s = f64::from(config.course.time_limit_s);
-    let record = match fly_lockstep_through(&mut simulator, &mut |step, _| steps = step, &mut client, limit_s) {
+    let flown = fly_lockstep(&mut simulator, limit_s, |step, now_ns, frame, received, sent| {
+        steps = step;
+        client.exchange(step, now_ns, Some(frame), received, sent)
+    });
+    let record = match flown {
         Err(LockstepError::Cancelled) => {
             // A firmware that does not answer even this ends by itself.
             let _ = client.finish(steps);

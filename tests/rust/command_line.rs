@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Stdio;
 use vigil_log::FlightInfo;
 use vigil_tests::{
-    Running, ended, has, json, only_log, processes_of, refused, run, run_line, said, succeed, text, write_log,
+    Running, ended, has, json, only_log, processes_of, program, refused, run, run_line, said, succeed, text, write_log,
 };
 
 /// The command for a flight in real time on an instance, whose log goes to a folder.
@@ -181,6 +181,27 @@ fn shell(before_it: &str, command: &str) -> std::process::Output {
     let line = format!("{before_it}; {} {command}", vigil_tests::vigil().display());
     let done = std::process::Command::new("bash").args(["-c", &line]).output();
     done.expect("a shell")
+}
+
+#[test]
+fn a_level_of_diagnostics_that_is_none_is_named() {
+    for (level, is_named) in [
+        ("infoo", true),
+        ("debug,", true),
+        ("", false),
+        ("vigil_io=debug, warn", false),
+    ] {
+        let mut program = program();
+        program.env("RUST_LOG", level).args(["courses", "write", "--seed", "7"]);
+        let output = program.output().expect("the program runs");
+        assert!(output.status.success());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(
+            said.contains("RUST_LOG is not understood, warn taken"),
+            is_named,
+            "{level}: {said}"
+        );
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Which attack is flown against: the arguments that campaigns, live flights and the adversary's own process share.
 
-use crate::{AttackConfig, AttackError, Burst, BurstPlan, FrameAttack, Interceptor, Method, PassedStep, Towards};
+use crate::{AttackConfig, AttackError, AttackOutcome, Burst, FrameAttack, Interceptor, Method, Towards};
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -148,7 +148,7 @@ impl Attack {
             (FrameAttack::Policy(_), Some(_)) => return Err(AttackError::EvadingPolicy),
             (attack, None) => attack,
         };
-        let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
+        let interceptor = Interceptor::new(attack, self.burst.steps(seed), goal_ned_m);
         match self.evades_guard {
             true => interceptor.evading_guard(),
             false => Ok(interceptor),
@@ -170,9 +170,9 @@ pub struct AttackRecord {
 }
 
 impl AttackRecord {
-    /// Takes a step into account.
-    pub fn observe(&mut self, step: u64, passed: &PassedStep) {
-        let PassedStep::Attacked(outcome) = passed else { return };
+    /// Takes a step into account; `None` of a frame that was not altered.
+    pub fn observe(&mut self, step: u64, attacked: Option<&AttackOutcome>) {
+        let Some(outcome) = attacked else { return };
         self.first_step.get_or_insert(step);
         self.attacked_steps += 1;
         self.effective_steps += u64::from(outcome.is_effective());

@@ -4,6 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 /// The first step at which a flight's one burst may begin: the vehicle is under way and the actor's memory is full.
@@ -56,30 +57,16 @@ impl FromStr for Burst {
     }
 }
 
-/// Which steps are attacked: from the first on so many. The same seed gives the same steps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BurstPlan {
-    first: u64,
-    steps: u64,
-}
-
-impl BurstPlan {
-    /// One burst that begins at a step drawn evenly from [`SINGLE_BURST_FIRST`] to [`SINGLE_BURST_LAST`], or all steps.
-    pub fn new(burst: Burst, seed: u64) -> Self {
-        match burst {
-            Burst::Continuous => Self {
-                first: 0,
-                steps: u64::MAX,
-            },
-            Burst::Steps(steps) => Self {
-                first: ChaCha8Rng::seed_from_u64(seed).random_range(SINGLE_BURST_FIRST..=SINGLE_BURST_LAST),
-                steps,
-            },
+impl Burst {
+    /// Which steps are attacked: one burst that begins at a step drawn evenly from [`SINGLE_BURST_FIRST`] to [`SINGLE_BURST_LAST`], or all
+    /// steps. The same seed gives the same steps.
+    pub fn steps(self, seed: u64) -> Range<u64> {
+        match self {
+            Self::Continuous => 0..u64::MAX,
+            Self::Steps(steps) => {
+                let first = ChaCha8Rng::seed_from_u64(seed).random_range(SINGLE_BURST_FIRST..=SINGLE_BURST_LAST);
+                first..first.saturating_add(steps)
+            }
         }
-    }
-
-    /// Whether step number `step` is attacked.
-    pub fn attacks(&self, step: u64) -> bool {
-        (self.first..self.first.saturating_add(self.steps)).contains(&step)
     }
 }

@@ -1,9 +1,9 @@
 //! The adversary between the sensor and the firmware: whole frames in, whole frames out.
 
-use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
 use crate::frame_attack::FrameAttack;
 use crate::guard_evasion::GuardEvasion;
+use std::ops::Range;
 use vigil_policy::PilotInput;
 use vigil_types::{DepthFrame, FrameHeader, GoalRelative, Nanos, NedVector, wrap_pi};
 
@@ -26,20 +26,11 @@ fn seen(frame: &DepthFrame, goal_ned_m: NedVector, velocity: NedVector) -> Pilot
     }
 }
 
-/// What was done to a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum PassedStep {
-    /// Delivered as it was.
-    Unaltered,
-    /// Altered.
-    Attacked(AttackOutcome),
-}
-
 /// Alters the frames of the planned steps and seals them again; the firmware cannot know.
 #[derive(Debug, Clone)]
 pub struct Interceptor {
     attack: FrameAttack,
-    plan: BurstPlan,
+    steps: Range<u64>,
     goal_ned_m: NedVector,
     /// The guard that is to stay silent.
     guard: Option<GuardEvasion>,
@@ -50,11 +41,11 @@ pub struct Interceptor {
 }
 
 impl Interceptor {
-    /// An adversary that knows where the vehicle is to fly.
-    pub fn new(attack: FrameAttack, plan: BurstPlan, goal_ned_m: NedVector) -> Self {
+    /// An adversary that attacks in these steps ([`crate::Burst::steps`]) and knows where the vehicle is to fly.
+    pub fn new(attack: FrameAttack, steps: Range<u64>, goal_ned_m: NedVector) -> Self {
         Self {
             attack,
-            plan,
+            steps,
             goal_ned_m,
             taken: Box::new(DepthFrame::EMPTY),
             guard: None,
@@ -83,11 +74,11 @@ impl Interceptor {
         }
     }
 
-    /// Takes the frame of step number `step`, in place.
+    /// Takes the frame of step number `step`, in place: what was done to it, `None` if nothing was.
     ///
     /// # Errors
     /// None for frames of the actor's size; the frame is then as it was.
-    pub fn pass(&mut self, step: u64, frame: &mut DepthFrame) -> Result<PassedStep, AttackError> {
+    pub fn pass(&mut self, step: u64, frame: &mut DepthFrame) -> Result<Option<AttackOutcome>, AttackError> {
         self.pass_while(step, frame, || true)
     }
 
@@ -100,15 +91,15 @@ impl Interceptor {
         step: u64,
         frame: &mut DepthFrame,
         go_on: impl FnMut() -> bool,
-    ) -> Result<PassedStep, AttackError> {
+    ) -> Result<Option<AttackOutcome>, AttackError> {
         let velocity = self.velocity(&frame.header);
-        if !self.plan.attacks(step) {
+        if !self.steps.contains(&step) {
             let seen = seen(frame, self.goal_ned_m, velocity);
             let decided = self.attack.pass(&seen)?;
             if let (Some(guard), Some(decided)) = (&mut self.guard, decided) {
                 guard.delivered(&seen, decided);
             }
-            return Ok(PassedStep::Unaltered);
+            return Ok(None);
         }
         if let (Some(guard), FrameAttack::Actor(attack)) = (&self.guard, &mut self.attack) {
             attack.yaw_bounds = guard.yaw_bounds();
@@ -120,6 +111,6 @@ impl Interceptor {
         if let Some(guard) = &mut self.guard {
             guard.delivered(&seen(frame, self.goal_ned_m, velocity), outcome.attacked);
         }
-        Ok(PassedStep::Attacked(outcome))
+        Ok(Some(outcome))
     }
 }

@@ -37,13 +37,13 @@ mod stream_attack;
 mod surrogate;
 
 pub use attack::{Attack, AttackArgs, AttackRecord};
-pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
+pub use burst::{Burst, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
 pub use config::{
     AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, REPLAYED_FRAMES, SPSA_QUERIES, SWELL_FRAMES,
     Towards,
 };
 pub use frame_attack::FrameAttack;
-pub use intercept::{Interceptor, PassedStep, goal_seen_from};
+pub use intercept::{Interceptor, goal_seen_from};
 pub use policy_attack::PolicyAttack;
 pub use state_attack::StateAttack;
 pub use stream_attack::StreamAttack;

@@ -1,6 +1,6 @@
 //! The adversary as a process of its own, between the raw and the delivered frame service.
 
-use crate::{AttackArgs, AttackRecord, PassedStep};
+use crate::{AttackArgs, AttackRecord};
 use anyhow::{Result, bail};
 use hdrhistogram::Histogram;
 use serde::Serialize;
@@ -127,27 +127,24 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
         }
         let (taken_ns, stamp_ns) = (monotonic_ns(), frame.header.stamp_ns);
         let waits = under_way == 0 && frame.header.position_ned_m.z > UNDER_WAY * goal_ned_m.z;
-        let mut passed = PassedStep::Unaltered;
+        let mut attacked = None;
         if !waits {
             if notes.is_some() {
                 (*clean).clone_from(&frame);
             }
             let mut in_time = true;
-            passed = interceptor.pass_while(under_way, &mut frame, || {
+            attacked = interceptor.pass_while(under_way, &mut frame, || {
                 in_time = monotonic_ns() < stamp_ns.saturating_add(deadline_ns);
                 in_time
             })?;
-            record.observe(under_way, &passed);
+            record.observe(under_way, attacked.as_ref());
             cut_short += u64::from(!in_time);
             under_way += 1;
         }
         to.publish(&frame)?;
         // After it was handed on: the note costs the frame no time.
         if let Some(notes) = &mut notes {
-            let altered = match &passed {
-                PassedStep::Unaltered => None,
-                PassedStep::Attacked(outcome) => Some((outcome.yaw_change(), &*clean)),
-            };
+            let altered = attacked.map(|outcome| (outcome.yaw_change(), &*clean));
             notes.frame(monotonic_ns(), frame.header.sequence, altered)?;
         }
         frames += 1;

@@ -1,8 +1,7 @@
 //! When the adversary acts, and what it leaves of a frame.
 
 use vigil_adversary::{
-    AttackConfig, Burst, BurstPlan, FrameAttack, Interceptor, PassedStep, SINGLE_BURST_FIRST, SINGLE_BURST_LAST,
-    goal_seen_from,
+    AttackConfig, Burst, FrameAttack, Interceptor, SINGLE_BURST_FIRST, SINGLE_BURST_LAST, goal_seen_from,
 };
 use vigil_nnet::Isa;
 use vigil_policy::{Decider, FrozenActor, LearnedPilot, Pilot, PilotInput};
@@ -18,26 +17,21 @@ fn attack(actor: &FrozenActor, iterations: u32) -> FrameAttack {
     FrameAttack::on(&actor.into(), Isa::detect(), &settings).unwrap()
 }
 
-fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
-    (0..steps).filter(|step| plan.attacks(*step)).collect()
-}
-
 #[test]
 fn one_burst_lies_where_its_seed_says_and_seeds_spread_it_over_the_flight() {
     let mut firsts = Vec::new();
     for seed in 0..200 {
-        let steps = attacked(BurstPlan::new(Burst::Steps(50), seed), 1000);
-        assert_eq!(steps, attacked(BurstPlan::new(Burst::Steps(50), seed), 1000));
-        assert_eq!(steps.len(), 50);
-        assert_eq!(steps[49] - steps[0], 49, "consecutive");
-        assert!((SINGLE_BURST_FIRST..=SINGLE_BURST_LAST).contains(&steps[0]));
+        let steps = Burst::Steps(50).steps(seed);
+        assert_eq!(steps, Burst::Steps(50).steps(seed));
+        assert_eq!(steps.end - steps.start, 50);
+        assert!((SINGLE_BURST_FIRST..=SINGLE_BURST_LAST).contains(&steps.start));
         // Whatever its length, one seed's burst begins at the same moment: lengths can be compared flight by flight.
-        assert_eq!(attacked(BurstPlan::new(Burst::Steps(5), seed), 1000), steps[..5]);
-        firsts.push(steps[0]);
+        assert_eq!(Burst::Steps(5).steps(seed), steps.start..steps.start + 5);
+        firsts.push(steps.start);
     }
     firsts.sort_unstable();
     assert!(firsts[20] < 60 && firsts[180] > 160, "{firsts:?}");
-    assert_eq!(attacked(BurstPlan::new(Burst::Continuous, 1), 30).len(), 30);
+    assert_eq!(Burst::Continuous.steps(1), 0..u64::MAX);
 }
 
 #[test]
@@ -53,7 +47,7 @@ fn burst_lengths_are_read_from_the_command_line() {
 fn an_altered_frame_passes_every_check_of_the_receiver_and_only_its_pixels_differ() {
     let attack = attack(&FrozenActor::built_in().unwrap(), 2);
     let goal = NedVector::new(20.0, 5.0, -1.5);
-    let mut interceptor = Interceptor::new(attack, BurstPlan::new(Burst::Steps(5), 3), goal);
+    let mut interceptor = Interceptor::new(attack, Burst::Steps(5).steps(3), goal);
     for step in 0..SINGLE_BURST_LAST + 10 {
         let mut frame = DepthFrame::EMPTY;
         frame.header.sensor_id = 1;
@@ -65,13 +59,13 @@ fn an_altered_frame_passes_every_check_of_the_receiver_and_only_its_pixels_diffe
         let given = frame.clone();
         let passed = interceptor.pass(step, &mut frame).unwrap();
         assert_eq!(frame.check(1), Ok(()));
-        if BurstPlan::new(Burst::Steps(5), 3).attacks(step) {
-            assert!(matches!(passed, PassedStep::Attacked(_)));
+        if Burst::Steps(5).steps(3).contains(&step) {
+            assert!(passed.is_some());
             assert_ne!(frame.depth, given.depth);
             frame.header.checksum = given.header.checksum;
             assert_eq!(frame.header, given.header);
         } else {
-            assert_eq!((passed, frame), (PassedStep::Unaltered, given));
+            assert_eq!((passed, frame), (None, given));
         }
     }
 }
@@ -97,9 +91,9 @@ fn the_adversary_knows_what_the_actor_remembers_and_how_it_moves() {
     let actor = FrozenActor::built_in().unwrap();
     let attack = attack(&actor, 3);
     let goal = NedVector::new(9.0, -1.0, -1.5);
-    let mut plans = (0..).map(|seed| BurstPlan::new(Burst::Steps(20), seed));
-    let plan = plans.find(|plan| plan.attacks(SINGLE_BURST_FIRST + 10)).unwrap();
-    let mut interceptor = Interceptor::new(attack, plan, goal);
+    let mut bursts = (0..).map(|seed| Burst::Steps(20).steps(seed));
+    let early = bursts.find(|steps| steps.contains(&(SINGLE_BURST_FIRST + 10))).unwrap();
+    let mut interceptor = Interceptor::new(attack, early, goal);
     let mut pilot = LearnedPilot::new(Decider::Actor(actor.actor(Isa::detect()).unwrap()), false);
     let mut attacked = 0;
     for step in 0..60 {
@@ -120,7 +114,7 @@ fn the_adversary_knows_what_the_actor_remembers_and_how_it_moves() {
             velocity_m_s: HeadingVector::new(forward_m_s, 0.0, 0.0),
             ..PilotInput::at_rest(&frame, goal_seen_from(&frame.header, goal))
         });
-        if let PassedStep::Attacked(outcome) = passed {
+        if let Some(outcome) = passed {
             attacked += 1;
             assert_eq!(outcome.attacked, [action.forward_m_s, action.yaw], "step {step}");
         }

@@ -12,13 +12,11 @@ pub use watch::WatchRecord;
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
-use std::cell::Cell;
 use std::convert::Infallible;
 use std::path::Path;
-use std::rc::Rc;
-use vigil_adversary::{Attack, AttackRecord, PassedStep};
+use vigil_adversary::{Attack, AttackRecord};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep_flight::{FirmwarePort, FlightRecord, fly_lockstep_through};
+use vigil_sim::lockstep_flight::{FlightRecord, fly_lockstep};
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
@@ -161,39 +159,37 @@ pub fn fly_recorded(
     let mut flying = LockstepFirmware::new(firmware)?;
     let begun = recording.map(|recording| recording.begin(config, firmware, &mut flying));
     let mut recording = begun.transpose()?;
-    let mut firmware = SameProcess {
-        firmware: flying,
-        watch: WatchRecord::default(),
-        sensor: SensorRecord::default(),
-        altered: Rc::default(),
-        altered_frames_used: 0,
-    };
     let current = config.frame_key.clone();
     if current.is_some() {
-        firmware.firmware.require_frame_keys(FrameKeys { current, other: None });
+        flying.require_frame_keys(FrameKeys { current, other: None });
     }
     let mut adversary = attack
         .map(|attack| attack.interceptor(config.seed, config.course.goal_ned_m()))
         .transpose()?;
     let mut done = attack.map(|_| AttackRecord::default());
-    // Only a frame of another size is refused, and the simulator makes none.
-    let altered = Rc::clone(&firmware.altered);
-    let mut between = |step: u64, frame: &mut DepthFrame| {
+    let (mut watch, mut sensor) = (WatchRecord::default(), SensorRecord::default());
+    let mut altered_frames_used = 0;
+    let step = |step: u64, now_ns: Nanos, frame: &mut DepthFrame, received: &Datagrams, sent: &mut Datagrams| {
         let clean = recording.as_ref().map(|_| Box::new(frame.clone()));
-        if let (Some(adversary), Some(done)) = (&mut adversary, &mut done)
-            && let Ok(passed) = adversary.pass(step, frame)
-        {
-            done.observe(step, &passed);
+        // Only a frame of another size is refused, and the simulator makes none.
+        let passed = adversary.as_mut().map(|adversary| adversary.pass(step, frame));
+        let passed = passed.transpose().ok().flatten();
+        if let (Some(passed), Some(done)) = (&passed, &mut done) {
+            done.observe(step, passed.as_ref());
             if let (Some(recording), Some(clean)) = (&mut recording, &clean) {
-                recording.note(&passed, clean);
+                recording.note(passed.as_ref(), clean);
             }
-            altered.set(matches!(passed, PassedStep::Attacked(_)));
         }
+        let report = flying.step(now_ns, Some(frame), received, sent);
+        watch.observe(step, report);
+        sensor.observe(step, report);
+        let is_used = report.frame_sequence == Some(frame.header.sequence);
+        altered_frames_used += u64::from(is_used && passed.flatten().is_some());
+        Ok::<(), Infallible>(())
     };
-    let time_limit_s = f64::from(config.course.time_limit_s);
-    let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut firmware, time_limit_s);
+    let Ok(record) = fly_lockstep(&mut simulator, f64::from(config.course.time_limit_s), step);
     if let Some(recording) = recording {
-        firmware.firmware.finish();
+        flying.finish();
         recording.end(config, &record)?;
     }
     Ok(Flight {
@@ -202,39 +198,10 @@ pub fn fly_recorded(
         sensor_fault: config.sensor_fault.map(|fault| fault.to_string()),
         record,
         attack: done,
-        watch: (firmware.watch.judged_steps > 0).then_some(firmware.watch),
-        sensor: firmware.sensor,
-        altered_frames_used: done.map(|_| firmware.altered_frames_used),
+        watch: (watch.judged_steps > 0).then_some(watch),
+        sensor,
+        altered_frames_used: done.map(|_| altered_frames_used),
     })
-}
-
-struct SameProcess {
-    firmware: LockstepFirmware,
-    watch: WatchRecord,
-    sensor: SensorRecord,
-    /// The frame of this step was altered on its way.
-    altered: Rc<Cell<bool>>,
-    altered_frames_used: u64,
-}
-
-impl FirmwarePort for SameProcess {
-    type Error = Infallible;
-
-    fn step(
-        &mut self,
-        step: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Infallible> {
-        let report = self.firmware.step(now_ns, Some(frame), received, sent);
-        self.watch.observe(step, report);
-        self.sensor.observe(step, report);
-        let used = report.frame_sequence == Some(frame.header.sequence);
-        self.altered_frames_used += u64::from(self.altered.take() && used);
-        Ok(())
-    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use crate::flight_report;
 use anyhow::{Context, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use vigil_adversary::PassedStep;
+use vigil_adversary::AttackOutcome;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_log::{Recorder, RecorderConfig, SideError, SideLog, merge_into};
 use vigil_sim::SimConfig;
@@ -75,11 +75,8 @@ pub(super) struct Begun {
 
 impl Begun {
     /// Notes what became of a frame; a failure is reported at the end.
-    pub fn note(&mut self, passed: &PassedStep, clean: &DepthFrame) {
-        let altered = match passed {
-            PassedStep::Unaltered => None,
-            PassedStep::Attacked(outcome) => Some((outcome.yaw_change(), clean)),
-        };
+    pub fn note(&mut self, attacked: Option<&AttackOutcome>, clean: &DepthFrame) {
+        let altered = attacked.map(|outcome| (outcome.yaw_change(), clean));
         let header = &clean.header;
         if let Err(error) = self.notes.frame(header.stamp_ns, header.sequence, altered) {
             self.failure.get_or_insert(error);
