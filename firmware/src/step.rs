@@ -2,8 +2,7 @@
 
 use crate::config::FirmwareConfig;
 use crate::pilots::Pilots;
-use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
-use vigil_guidance::ConfigError;
+use crate::stack::{FlightStack, TickInput, TickOutput};
 use vigil_log::Recorder;
 use vigil_policy::GeometricPilot;
 use vigil_policy::actor::Actor;
@@ -17,29 +16,16 @@ pub struct Firmware {
 }
 
 impl Firmware {
-    /// A stack that has flown nothing yet.
-    ///
-    /// # Errors
-    /// A guidance configuration that must not fly.
-    pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
-        Ok(Self::flying(FlightStack::new(config)?))
-    }
-
-    /// A stack with the pilots of a configuration.
+    /// A stack with the pilots of a configuration, that has flown nothing yet.
     ///
     /// # Errors
     /// A guidance configuration that must not fly, an actor or a detector that is refused.
     pub fn of(config: &FirmwareConfig) -> anyhow::Result<Self> {
-        let stack = FlightStack::with_pilots(&config.stack(), Pilots::of(config)?)?;
-        Ok(Self::flying(stack))
-    }
-
-    fn flying(stack: Box<FlightStack>) -> Self {
-        Self {
-            stack,
+        Ok(Self {
+            stack: FlightStack::with_pilots(&config.stack(), Pilots::of(config)?)?,
             output: Box::default(),
             recorder: None,
-        }
+        })
     }
 
     /// Keeps a log of all steps from now on.

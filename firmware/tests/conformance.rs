@@ -103,7 +103,7 @@ fn suite(
 /// that came.
 fn live(number: u32, mut link: impl Link, mut send: impl FnMut(&[u8]), mut receive: impl FnMut() -> Vec<Vec<u8>>) {
     let (_instance, domain) = Instance::joined(number);
-    let mut firmware = Firmware::new(&config().stack()).unwrap();
+    let mut firmware = Firmware::of(&config()).unwrap();
     let mut subscriber = FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap();
     let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     let mut steps = 0;
@@ -240,7 +240,7 @@ fn lockstep_in_one_process_conforms() {
 
 #[test]
 fn replay_conforms() {
-    let mut firmware = Firmware::new(&config().stack()).unwrap();
+    let mut firmware = Firmware::of(&config()).unwrap();
     let mut record = Box::<TickRecord>::default();
     let mut timing = StepTiming::default();
     driven(|now_ns, frame, received, sent| {

@@ -240,17 +240,7 @@ impl Companion {
 
     /// Says to people what becomes of a guarded flight.
     pub fn tell_of_guard(&mut self, notice: GuardNotice, out: &mut Datagrams) {
-        let text = match notice {
-            GuardNotice::Unguarded => "not guarded: the vehicle does not tell its position",
-            GuardNotice::TooFast => "not guarded: faster than it can be stopped before what is seen",
-            GuardNotice::FliesAround => "flying around it to the mission's next place",
-            GuardNotice::HandedBack => "handed back: the mission goes on",
-            GuardNotice::StaysStopped => {
-                "not flown around: guidance cannot take it, or the mission's next place is unknown"
-            }
-            GuardNotice::Jumped => "the position jumped: what was seen before is forgotten",
-        };
-        self.core.tell(out, WARNING, format_args!("{text}"));
+        self.core.tell(out, WARNING, format_args!("{}", notice.name()));
     }
 
     /// The last packets before the guidance computer falls silent: zero setpoints if it was streaming, and word of it.

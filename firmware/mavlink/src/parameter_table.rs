@@ -138,20 +138,19 @@ pub(crate) enum ParameterRequest {
 }
 
 impl ParameterRequest {
-    /// The request in a packet's payload, with its target (system, component).
-    pub fn from_payload(message_id: u32, payload: &[u8]) -> Option<(Self, (u8, u8))> {
+    /// The request in a packet's payload.
+    pub fn from_payload(message_id: u32, payload: &[u8]) -> Option<Self> {
         let field = Zeroed(payload);
-        let target = |at| (field.u8(at), field.u8(at + 1));
         Some(match message_id {
-            PARAM_REQUEST_LIST_DATA::ID => (Self::List, target(0)),
+            PARAM_REQUEST_LIST_DATA::ID => Self::List,
             PARAM_REQUEST_READ_DATA::ID => {
                 let index = i16::from_le_bytes(field.bytes(0)).max(-1);
                 let name = if index < 0 { field.bytes(4) } else { [0; NAME_LEN] };
-                (Self::One { name, index, set: None }, target(2))
+                Self::One { name, index, set: None }
             }
             PARAM_SET_DATA::ID => {
                 let (name, set) = (field.bytes(6), Some((field.bytes(0), field.u8(22))));
-                (Self::One { name, index: -1, set }, target(4))
+                Self::One { name, index: -1, set }
             }
             _ => return None,
         })

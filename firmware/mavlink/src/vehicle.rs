@@ -302,11 +302,8 @@ impl Vehicle {
                 let lacks_m_s = self
                     .velocity_error
                     .take(m.time_boot_ms, position_ned_m, velocity_ned_m_s);
-                self.telemetry.kinematics = Some(Kinematics {
-                    at_ns: now_ns,
-                    position_ned_m,
-                    velocity_ned_m_s: velocity_ned_m_s + lacks_m_s,
-                });
+                let velocity_ned_m_s = velocity_ned_m_s + lacks_m_s;
+                self.telemetry.kinematics = Some(Kinematics::new(now_ns, position_ned_m, velocity_ned_m_s));
             }
             MavMessage::ATTITUDE(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_times) => {
                 let attitude = Attitude::from_euler_rad(m.roll, m.pitch, m.yaw);
@@ -351,11 +348,7 @@ impl Vehicle {
     fn attitude(&mut self, now_ns: Nanos, boot_ms: u32, attitude: Attitude, rates_frd_rad_s: FrdVector) {
         self.heading_error
             .take(boot_ms, attitude, rates_frd_rad_s, self.telemetry.is_airborne());
-        self.telemetry.attitude = Some(AttitudeSample {
-            at_ns: now_ns,
-            attitude,
-            rates_frd_rad_s,
-        });
+        self.telemetry.attitude = Some(AttitudeSample::new(now_ns, attitude, rates_frd_rad_s));
     }
 
     /// PX4 lets home's height follow its GNSS: by metres, every other second, in flight too. A vehicle that stands at home knows

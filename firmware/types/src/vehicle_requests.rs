@@ -1,7 +1,7 @@
 //! What guidance asks of the vehicle, what an operator asks of guidance, and the answers: the seam between guidance and
 //! the link, whatever protocol or autopilot is behind it.
 
-use crate::{Nanos, NedVector};
+use crate::{Nanos, NedVector, named};
 
 /// What an operator asks of guidance.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -90,21 +90,23 @@ pub enum StopCause {
     Unseen,
 }
 
-/// What people read of a guarded flight, once each time it begins.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum GuardNotice {
-    /// The vehicle flies and never reported where it is: it is not guarded.
-    Unguarded,
-    /// It is so fast that it cannot be stopped before what is seen.
-    TooFast,
-    /// Its position jumped: what was seen before is forgotten.
-    Jumped,
-    /// Its mission was stopped, and guidance flies it around what is there.
-    FliesAround,
-    /// It goes on with its mission.
-    HandedBack,
-    /// Guidance could not take it, or the mission's next place is not known: it stays where it was stopped.
-    StaysStopped,
+named! {
+    /// What people read of a guarded flight, once each time it begins.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum GuardNotice {
+        /// The vehicle flies and never reported where it is: it is not guarded.
+        Unguarded => "not guarded: the vehicle does not tell its position",
+        /// It is so fast that it cannot be stopped before what is seen.
+        TooFast => "not guarded: faster than it can be stopped before what is seen",
+        /// Its position jumped: what was seen before is forgotten.
+        Jumped => "the position jumped: what was seen before is forgotten",
+        /// Its mission was stopped, and guidance flies it around what is there.
+        FliesAround => "flying around it to the mission's next place",
+        /// It goes on with its mission.
+        HandedBack => "handed back: the mission goes on",
+        /// Guidance could not take it, or the mission's next place is not known: it stays where it was stopped.
+        StaysStopped => "not flown around: guidance cannot take it, or the mission's next place is unknown",
+    }
 }
 
 /// How it stands with the vehicle.

@@ -121,16 +121,6 @@ fn is_local(address: SocketAddr) -> bool {
     address.ip().to_canonical().is_loopback()
 }
 
-/// The local address of a UDP link, and who is sent to unasked.
-fn udp_ends(url: &LinkUrl) -> Option<(SocketAddr, Option<SocketAddr>)> {
-    match *url {
-        LinkUrl::UdpIn(local) => Some((local, None)),
-        LinkUrl::UdpOut(peer @ SocketAddr::V4(_)) => Some((([0, 0, 0, 0], 0).into(), Some(peer))),
-        LinkUrl::UdpOut(peer @ SocketAddr::V6(_)) => Some((([0_u16; 8], 0).into(), Some(peer))),
-        _ => None,
-    }
-}
-
 /// Whether a peer on this machine can speak on the link.
 fn may_be_local(url: &LinkUrl) -> bool {
     match url {

@@ -1,15 +1,13 @@
 //! MAVLink over a serial line; the device may disappear and return.
 
 use super::packet_stream::PacketStream;
-use super::{LinkAdmission, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
+use super::{LinkAdmission, LinkStatistics, PeerRule, RETRY_NS, Wire};
 use crate::gate::SigningGate;
-use crate::link_url::LinkUrl;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
 use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
 use std::ffi::CString;
 use std::fs::File;
-use std::io::ErrorKind;
 use vigil_mavlink::framing::StreamFramer;
 use vigil_types::{Datagrams, Nanos};
 
@@ -24,18 +22,14 @@ pub struct SerialWire {
 }
 
 impl SerialWire {
-    pub(crate) fn open(url: &LinkUrl) -> Result<Self, LinkError> {
-        let error = |source| LinkError::of(url, source);
-        let LinkUrl::Serial { device, baud } = url else {
-            return Err(error(ErrorKind::InvalidInput.into()));
-        };
-        let device = CString::new(device.as_str()).map_err(|e| error(e.into()))?;
-        let port = open_port(&device, *baud).map_err(|e| error(e.into()))?;
+    pub(crate) fn open(device: &str, baud: u32) -> std::io::Result<Self> {
+        let device = CString::new(device)?;
+        let port = open_port(&device, baud)?;
         let mut stream = PacketStream::new();
         stream.begin();
         Ok(Self {
             device,
-            baud: *baud,
+            baud,
             port: Some(port),
             next_attempt_ns: 0,
             framer: StreamFramer::default(),

@@ -1,9 +1,8 @@
 //! MAVLink over TCP, as client or server, reconnecting.
 
 use super::packet_stream::PacketStream;
-use super::{LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
+use super::{LinkAdmission, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
 use crate::gate::SigningGate;
-use crate::link_url::LinkUrl;
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socket_with};
 use std::io::ErrorKind;
@@ -70,24 +69,24 @@ pub struct TcpWire {
 }
 
 impl TcpWire {
-    pub(crate) fn open(url: &LinkUrl, rule: PeerRule) -> Result<Self, LinkError> {
-        let error = |source| LinkError::of(url, source);
-        let role = match *url {
-            LinkUrl::TcpIn(local) => {
-                let listener = TcpListener::bind(local).map_err(error)?;
-                listener.set_nonblocking(true).map_err(error)?;
-                Role::Server(listener)
-            }
-            LinkUrl::TcpOut(peer) => Role::Client { peer, next_call_ns: 0 },
-            _ => return Err(error(ErrorKind::InvalidInput.into())),
-        };
-        Ok(Self {
+    pub(crate) fn listening(local: SocketAddr, rule: PeerRule) -> std::io::Result<Self> {
+        let listener = TcpListener::bind(local)?;
+        listener.set_nonblocking(true)?;
+        Ok(Self::of(Role::Server(listener), rule))
+    }
+
+    pub(crate) fn calling(peer: SocketAddr, rule: PeerRule) -> Self {
+        Self::of(Role::Client { peer, next_call_ns: 0 }, rule)
+    }
+
+    fn of(role: Role, rule: PeerRule) -> Self {
+        Self {
             role,
             rule,
             connection: None,
             callers: Vec::with_capacity(MAX_CALLERS),
             stream: PacketStream::new(),
-        })
+        }
     }
 
     /// Whether the connection is a peer's who showed that it may be, and is heard.

@@ -1,9 +1,8 @@
 //! MAVLink over one UDP socket.
 
 use super::socket_filter::{FLOOD, FloodWatch, SocketFilter};
-use super::{LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local, udp_ends};
+use super::{LinkAdmission, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local};
 use crate::gate::{MAX_DATAGRAM_BYTES, SigningGate};
-use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 use vigil_types::{Datagrams, Nanos};
@@ -31,13 +30,10 @@ pub struct UdpWire {
 }
 
 impl UdpWire {
-    pub(crate) fn open(url: &LinkUrl, rule: PeerRule) -> Result<Self, LinkError> {
-        let error = |source| LinkError::of(url, source);
-        let Some((local, peer)) = udp_ends(url) else {
-            return Err(error(ErrorKind::InvalidInput.into()));
-        };
-        let socket = UdpSocket::bind(local).map_err(error)?;
-        socket.set_nonblocking(true).map_err(error)?;
+    /// A socket at `local`; `peer` is who is called.
+    pub(crate) fn open(local: SocketAddr, peer: Option<SocketAddr>, rule: PeerRule) -> std::io::Result<Self> {
+        let socket = UdpSocket::bind(local)?;
+        socket.set_nonblocking(true)?;
         let mut wire = Self {
             socket,
             rule,

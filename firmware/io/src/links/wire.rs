@@ -1,6 +1,6 @@
 //! What carries a link's bytes, and the gate that they pass: one link's own, or one that several share.
 
-use super::{LINK, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire, udp_ends};
+use super::{LINK, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire};
 use crate::Link;
 use crate::gate::{AllowUnsigned, SigningGate};
 use crate::link_url::LinkUrl;
@@ -69,21 +69,25 @@ pub trait Wire: Send {
 /// # Errors
 /// [`LinkError`], naming the link.
 pub fn open_wire(url: &LinkUrl, rule: PeerRule) -> Result<Box<dyn Wire>, LinkError> {
-    match (udp_ends(url), rule) {
-        (Some((local, peer)), PeerRule::Anyone) => {
-            let peers = UdpPeers::open(local, peer).map_err(|source| LinkError::of(url, source))?;
-            Ok(Box::new(peers))
-        }
-        _ => open_of_one_peer(url, rule),
-    }
+    open(url, rule, rule == PeerRule::Anyone).map_err(|source| LinkError::of(url, source))
 }
 
-fn open_of_one_peer(url: &LinkUrl, rule: PeerRule) -> Result<Box<dyn Wire>, LinkError> {
-    Ok(match url {
-        LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => Box::new(UdpWire::open(url, rule)?),
-        LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => Box::new(TcpWire::open(url, rule)?),
-        LinkUrl::Serial { .. } => Box::new(SerialWire::open(url)?),
-        LinkUrl::Unknown(_) => return Err(LinkError::of(url, std::io::Error::other("the host is not known"))),
+/// `has_peers`: by UDP there may be several.
+fn open(url: &LinkUrl, rule: PeerRule, has_peers: bool) -> std::io::Result<Box<dyn Wire>> {
+    let udp = |local, peer| -> std::io::Result<Box<dyn Wire>> {
+        Ok(match has_peers {
+            true => Box::new(UdpPeers::open(local, peer)?),
+            false => Box::new(UdpWire::open(local, peer, rule)?),
+        })
+    };
+    Ok(match *url {
+        LinkUrl::UdpIn(local) => udp(local, None)?,
+        LinkUrl::UdpOut(peer @ SocketAddr::V4(_)) => udp(([0, 0, 0, 0], 0).into(), Some(peer))?,
+        LinkUrl::UdpOut(peer @ SocketAddr::V6(_)) => udp(([0_u16; 8], 0).into(), Some(peer))?,
+        LinkUrl::TcpIn(local) => Box::new(TcpWire::listening(local, rule)?),
+        LinkUrl::TcpOut(peer) => Box::new(TcpWire::calling(peer, rule)),
+        LinkUrl::Serial { ref device, baud } => Box::new(SerialWire::open(device, baud)?),
+        LinkUrl::Unknown(_) => return Err(std::io::Error::other("the host is not known")),
     })
 }
 
@@ -99,7 +103,7 @@ impl Gated {
     /// # Errors
     /// [`LinkError`], naming the link.
     pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
-        let wire = open_of_one_peer(url, rule)?;
+        let wire = open(url, rule, false).map_err(|source| LinkError::of(url, source))?;
         Ok(Self { wire, gate })
     }
 

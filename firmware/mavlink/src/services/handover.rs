@@ -11,6 +11,7 @@ use crate::operator::result;
 use crate::status_text::{CRITICAL, ERROR};
 use crate::vehicle::Vehicle;
 use core::fmt::Arguments;
+use core::mem::discriminant;
 use vigil_types::{
     Datagrams, HandoverProgress, Heartbeat, Landed, Nanos, Reason, StopCause, VehicleMode, VehicleRequest,
 };
@@ -42,15 +43,6 @@ enum Stage {
     Done,
 }
 
-/// What guidance asks for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Asked {
-    Fly,
-    Land,
-    /// This mode of a guarded flight.
-    Mode(VehicleMode),
-}
-
 /// Follows one request of guidance.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct HandoverService {
@@ -58,8 +50,8 @@ pub(crate) struct HandoverService {
     /// How far the vehicle is with it.
     pub progress: HandoverProgress,
     tracker: Tracker,
-    /// Of the last step.
-    asked: Option<Asked>,
+    /// The first of its kind; in all steps since then the same was asked.
+    asked: VehicleRequest,
     /// The vehicle does not take the place of a stop.
     refuses_place: bool,
     streaming_since_ns: Option<Nanos>,
@@ -89,22 +81,22 @@ impl HandoverService {
         } else {
             None
         };
+        if discriminant(&self.asked) != discriminant(&request) {
+            *self = Self {
+                flavour: self.flavour,
+                streaming_since_ns: self.streaming_since_ns,
+                asked: request,
+                ..Self::default()
+            };
+        }
         match request {
-            VehicleRequest::None => {
-                self.end();
-                Next::Wait
-            }
-            VehicleRequest::FlyExternal { takeoff_height_m } => {
-                self.ask(Asked::Fly);
-                self.fly(now_ns, takeoff_height_m, vehicle)
-            }
+            VehicleRequest::None => Next::Wait,
+            VehicleRequest::FlyExternal { takeoff_height_m } => self.fly(now_ns, takeoff_height_m, vehicle),
             VehicleRequest::Land => {
-                self.ask(Asked::Land);
                 let wanted = self.wanted(command_number::NAV_LAND, EFFECT_NS, &[]);
                 self.insist(now_ns, &wanted, LAND_PAUSE_NS, vehicle)
             }
             VehicleRequest::Hold { place_m, .. } => {
-                self.ask(Asked::Mode(VehicleMode::Hold));
                 let wanted = match self.flavour {
                     Flavour::Px4 => self.px4_stop(place_m, vehicle),
                     Flavour::ArduPilot => self.set_mode(VehicleMode::Hold),
@@ -114,18 +106,9 @@ impl HandoverService {
                 next
             }
             VehicleRequest::Resume => {
-                self.ask(Asked::Mode(VehicleMode::Mission));
                 let wanted = self.set_mode(VehicleMode::Mission);
                 self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle)
             }
-        }
-    }
-
-    /// This is asked for from now on.
-    fn ask(&mut self, asked: Asked) {
-        if self.asked != Some(asked) {
-            self.end();
-            self.asked = Some(asked);
         }
     }
 
@@ -163,14 +146,6 @@ impl HandoverService {
         let [base, main, sub] = self.flavour.mode_params(mode);
         let set = [(1, base), (2, main), (3, sub)];
         self.wanted(command_number::DO_SET_MODE, EFFECT_NS, &set)
-    }
-
-    fn end(&mut self) {
-        *self = Self {
-            flavour: self.flavour,
-            streaming_since_ns: self.streaming_since_ns,
-            ..Self::default()
-        };
     }
 
     fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Next {
@@ -332,7 +307,7 @@ impl Service for HandoverService {
             core.tell(out, ERROR, text);
         }
         if let VehicleRequest::Hold { cause: Some(cause), .. } = step.request
-            && !matches!(self.asked, Some(Asked::Mode(_)))
+            && !matches!(self.asked, VehicleRequest::Hold { .. } | VehicleRequest::Resume)
         {
             let mut tell = |text: Arguments<'_>| core.tell(out, CRITICAL, text);
             match cause {

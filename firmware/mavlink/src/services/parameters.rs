@@ -65,13 +65,14 @@ impl ParameterService {
 
 impl Service for ParameterService {
     fn hear(&mut self, core: &mut Core, _: Nanos, packet: &Packet<'_>, from: ReplyTo) -> bool {
-        let Some((request, (system, component))) =
-            ParameterRequest::from_payload(packet.message_id(), packet.payload())
-        else {
+        let Some(request) = ParameterRequest::from_payload(packet.message_id(), packet.payload()) else {
             return false;
         };
         // Of requests to all components it answers what it has.
-        if system == core.sender.system_id && core.is_for_me_or_all(system, component) {
+        if let Some((system, component)) = packet.target()
+            && system == core.sender.system_id
+            && core.is_for_me_or_all(system, component)
+        {
             let is_for_me = component == core.sender.component_id;
             self.request(core, from, is_for_me, &request);
         }
